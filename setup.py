@@ -79,7 +79,7 @@ setup(
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
-        'py.typed', '**/*.toml', 'files/motion.script']},
+        'py.typed', '**/*.toml']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
     install_requires=[

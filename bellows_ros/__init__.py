@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = [  # noqa: F405
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
-    'design_motion', 'fastest', 'identify', 'observe', 'parameters_of', 'plan', 'read_cup',
+    'fastest', 'identify', 'observe', 'parameters_of', 'plan', 'read_cup',
     'read_package', 'read_parameters', 'replay', 'savgol', 'simulate', 'static_equilibrium',
     'steer', 'toss', 'write_cup', 'write_parameters',
 ]

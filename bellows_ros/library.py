@@ -9,7 +9,6 @@ from __future__ import annotations  # signatures show names, not their members
 
 from collections.abc import Mapping, Sequence
 import os
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry.arrays import Array
@@ -26,13 +25,11 @@ from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import File
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
-from bellows_ros.files.safe_yaml import load
 import bellows_ros.plots  # noqa: F401 (results draw themselves)
 import numpy as np
 from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
-    from bellows_ros.workflows.excite import DesignedMotion
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.plan import MotionSource, PlanReport
     from bellows_ros.workflows.replay import Replay
@@ -41,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     'BellowsError', 'Cup', 'LivePredictor', 'Package', 'Prediction', 'Trajectory', 'box_inertia',
-    'design_motion', 'fastest', 'identify', 'observe', 'parameters_of', 'plan', 'read_cup',
+    'fastest', 'identify', 'observe', 'parameters_of', 'plan', 'read_cup',
     'read_package', 'read_parameters', 'replay', 'savgol', 'simulate', 'static_equilibrium',
     'steer', 'toss', 'write_cup', 'write_parameters']
 
@@ -400,7 +397,7 @@ def steer(
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
 ) -> SteerReport:
     """
-    Change a motion so that the package does not swing, as `bellows steer`.
+    Change a motion so that the package does not swing, as `bellows plan --steer`.
 
     Parameters
     ----------
@@ -482,53 +479,6 @@ def toss(
     return workflow.toss_plan(
         motion, _parameters(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
         topic=topic)
-
-
-def design_motion(
-    parameters: Parameters, limits: Mapping[str, Any] | File, duration: float = 12.0,
-    urdf: str = '', seed: int = 0, hold: float = 7.0,
-) -> DesignedMotion:
-    """
-    Design the motion with the most information on a cup, like `bellows excite`.
-
-    Parameters
-    ----------
-    parameters : mapping or path
-        Package and a guess of the cup by name, or a file with them.
-    limits : mapping or path
-        Limits of arm and tracking, explained in config/limits_example.yaml.
-    duration : float
-        Duration of rest and motion, s.
-    urdf : str
-        File of the arm, whose joints are limited, too.
-    seed : int
-        Seed of the initial shape of the search.
-    hold : float
-        Duration of a tilt after the motion for the relaxation of rubber, s; 0 for none.
-
-    Returns
-    -------
-    DesignedMotion
-        It has design.motion, the expected errors (2 n,), warnings; `plot()` and `to_json(path)`.
-
-    Raises
-    ------
-    BellowsError
-        If a setting is missing or invalid, or no motion is within the limits.
-
-    Examples
-    --------
-    >>> result = bellows_ros.design_motion(
-    ...     'bags/tossing.yaml', 'config/limits_example.yaml', duration=8.0, hold=0.0)
-    >>> result.design.motion.duration
-    8.0
-
-    """
-    from bellows_ros.workflows import excite as workflow
-
-    return workflow.excite(
-        _parameters(parameters), limits if isinstance(limits, Mapping) else load(Path(limits)),
-        duration, urdf, seed=seed, hold=hold)
 
 
 def replay(recording: File, parameters: Parameters) -> Replay:

@@ -61,7 +61,7 @@ CORE_NEEDS = {'numpy', 'scipy', 'numba', 'bellows_ros'}
 
 CORE = (
     'findings', 'geometry', 'signals', 'model', 'sensors', 'parameters', 'recording', 'observer',
-    'planning', 'toss', 'synthetic', 'identification', 'live', 'excitation')
+    'planning', 'toss', 'synthetic', 'identification', 'live')
 """The rooms of core, each above those that it may import."""
 
 

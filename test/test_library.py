@@ -7,7 +7,6 @@ import subprocess
 import sys
 
 import bellows_ros
-from bellows_ros.core.excitation import motion_design
 from bellows_ros.errors import BellowsError, UnitWarning
 import numpy as np
 from numpy.testing import assert_allclose
@@ -20,7 +19,6 @@ WITHOUT_EXAMPLE = {'BellowsError', 'Prediction'}  # what others raise and return
 @pytest.fixture
 def soon(monkeypatch):
     """Let the search for a motion end soon; how good it is, is tested with it."""
-    monkeypatch.setattr(motion_design, 'STAGES', ((8, 60), (16, 20)))
 
 
 @pytest.mark.usefixtures('soon')
@@ -147,12 +145,11 @@ TOSSING = 'bags/tossing.yaml'
     lambda: bellows_ros.plan('bags/transport.yaml', TOSSING),
     lambda: bellows_ros.steer('bags/transport.yaml', TOSSING, 'zvd'),
     lambda: bellows_ros.toss('bags/throw.yaml', TOSSING, release=3.0),
-    lambda: bellows_ros.design_motion(TOSSING, 'config/limits_example.yaml', 8.0),
     lambda: bellows_ros.replay('bags/validation', TOSSING),
     lambda: bellows_ros.identify(
         'bags/validation', bellows_ros.read_package(TOSSING), 0.046,
         {'recording.package_frame': 'com', 'fit.method': 'least_squares'}),
-], ids=['plan', 'steer', 'toss', 'design_motion', 'replay', 'identify'])
+], ids=['plan', 'steer', 'toss', 'replay', 'identify'])
 def test_a_result_draws_and_writes_itself(root, tmp_path, monkeypatch, make):
     """Make a figure with something in it, and a file of all numbers."""
     pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")

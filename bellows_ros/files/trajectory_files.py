@@ -85,65 +85,10 @@ def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
            *divmod(stamps_ns, NS_PER_S), *values.T)
 
 
-def write_csv(path: File, stamps_ns: Stamps, values: Array) -> None:
-    """
-    Write a motion with velocities as columns of text, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Text file.
-    stamps_ns : int array (N,)
-        Times, ns.
-    values : array (N, 13)
-        Position (m), quaternion (x, y, z, w), linear and angular velocity (m/s, rad/s).
-
-    Raises
-    ------
-    BellowsError
-        If the file cannot be written.
-
-    """
-    _write(path, 'time (s),x,y,z (m),qx,qy,qz,qw,vx,vy,vz (m/s),wx,wy,wz (rad/s)',
-           '%d.%09d' + 13 * ',%.9g', *divmod(stamps_ns, NS_PER_S), *values.T)
-
-
 def _write(path: File, head: str, form: str, *columns: Array | Stamps) -> None:
     """Write a text file of a head and a line for each row of the columns."""
     rows = zip(*(column.tolist() for column in columns), strict=True)
     atomic.write_text(path, '\n'.join([head, *map(form.__mod__, rows)]) + '\n')
-
-
-def write_urscript(
-    path: File, seconds: Array, position: Array, rotation_vector: Array, frame: str
-) -> None:
-    """
-    Write a program for a Universal Robots arm that moves the tool through evenly timed poses.
-
-    The first move is slow, after a confirmation at the teach pendant.
-
-    Parameters
-    ----------
-    path : path
-        Text file.
-    seconds : array (N,)
-        Times in equal steps.
-    position, rotation_vector : array (N, 3)
-        Poses of the tool tip in a frame, m and rad.
-    frame : str
-        Name of the frame.
-
-    Raises
-    ------
-    BellowsError
-        If the file cannot be written.
-
-    """
-    poses = ['p[' + ', '.join(f'{x:.6f}' for x in row) + ']'
-             for row in np.hstack([position, rotation_vector]).tolist()]
-    atomic.write_text(path, Path(__file__).with_name('motion.script').read_text().format(
-        frame=repr(frame), step=float(seconds[1] - seconds[0]), start=poses[0],
-        moves='\n'.join(f'  to({pose})' for pose in poses)))
 
 
 def _lines(path: File) -> NumberedRows:

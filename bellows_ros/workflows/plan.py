@@ -21,15 +21,22 @@ from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.planning.limits import Fastest, fastest
+from bellows_ros.core.planning.limits import Fastest, fastest, Limits, read_limits, used_parts
 from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
-from bellows_ros.core.planning.points import joint_excess, Joints, plan_of, plan_of_joints, timed
+from bellows_ros.core.planning.points import (
+    joint_excess,
+    joint_parts,
+    Joints,
+    plan_of,
+    plan_of_joints,
+    timed,
+)
 from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.signals import resampling, savgol, trajectory
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types
-from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results
+from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results, safe_yaml
 from bellows_ros.files.messages import POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
 from bellows_ros.report.findings import entry, text
@@ -162,6 +169,8 @@ class PlanReport(CommandResult):
         Shortest safe time scale, None if not searched or not found.
     sought : bool
         Whether the shortest time scale was searched.
+    used : mapping of str to float
+        Used part of each stated limit of the arm; above 1 the plan exceeds it.
 
     """
 
@@ -171,6 +180,7 @@ class PlanReport(CommandResult):
     outside: tuple[str, ...]
     fastest: Fastest | None
     sought: bool
+    used: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def least(self) -> float:
@@ -240,6 +250,7 @@ class PlanReport(CommandResult):
             'outside_validity': list(self.outside),
             **({'fastest_scale': fastest and fastest.scale,
                 'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
+            'used_parts': self.used,
             'plan': self.source.path, 'frame_id': self.source.frame_id,
             'points': len(self.source.tool), 'least_safety_factor': self.least,
             'findings': [*map(entry, self.findings)], 'warnings': self.warnings})
@@ -247,7 +258,7 @@ class PlanReport(CommandResult):
 
 def plan(
     path: MotionSource, settings: Mapping[str, Any], urdf: str = '',
-    topic: str = '', seek_fastest: bool = False,
+    topic: str = '', seek_fastest: bool = False, limits: File | Mapping[str, object] = '',
 ) -> PlanReport:
     """
     Predict the package along a plan.
@@ -265,6 +276,8 @@ def plan(
         Topic of the plan in a recording with several.
     seek_fastest : bool
         Whether the shortest safe time is searched.
+    limits : path or mapping
+        YAML file with limits of the arm, or its content, of which the used parts are computed.
 
     Raises
     ------
@@ -272,7 +285,7 @@ def plan(
         If the plan cannot be read, is impossible for an arm, or the package cannot be held.
 
     """
-    source = plan_with_cup(path, settings, urdf, topic)
+    bounds, source = limits_in(limits), plan_with_cup(path, settings, urdf, topic)
     values, model, grip = source.values, source.model, source.grip
     run = PlanSimulation(model, grip, source.tool)
     prediction = run.predict()
@@ -297,7 +310,25 @@ def plan(
             conversion.uncertain_of(values), model, grip, source.tool, float(values.safety.least))
     outside = prediction.outside(
         conversion.parameter_envelope(values), values.package.mass, values.vacuum.holding)
-    return PlanReport(source, prediction, std, outside, shortest, seek_fastest)
+    used = _used_parts(source, bounds, prediction.smallest_safety[0]) if limits else {}
+    return PlanReport(source, prediction, std, outside, shortest, seek_fastest, used)
+
+
+def limits_in(limits: File | Mapping[str, object]) -> Limits:
+    """Return the limits in a YAML file, or in its content; '' for none."""
+    return read_limits(
+        limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
+
+
+def _used_parts(source: Source, limits: Limits, factor: float) -> dict[str, float]:
+    """Return the used part of each limit by a plan with a smallest safety factor."""
+    if source.grip is None and limits.safety_factor > 0.0:
+        raise BellowsError(
+            f'The limit safety_factor cannot be compared. {NO_FACTOR} Or leave safety_factor out.')
+    joints = {} if source.joints is None else joint_parts(
+        source.joints.arm, source.joints.along(source.tool, source.tool),
+        limits.joint_acceleration)
+    return {**used_parts(limits, source.tool, factor), **joints}
 
 
 def _deviations(

@@ -4,34 +4,31 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.model.cup_package import mean_square
-from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.parameters.conversion import parameter_std, uncertain_of
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import (
     demands,
     exceeded,
     Limits,
-    NO_LIMIT,
-    read_rates,
     stretched,
 )
 from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import File, results, safe_yaml
+from bellows_ros.files import File, results
 from bellows_ros.report.findings import text
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.plan import (
     bending,
     extended,
+    limits_in,
     MotionSource,
     NO_FACTOR,
     plan_with_cup,
@@ -160,8 +157,7 @@ def steer_plan(
     """
     if method not in steering.METHODS:
         raise BellowsError(f"method is '{method}'; expected one of {', '.join(steering.METHODS)}.")
-    bounds = read_limits(
-        limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
+    bounds = limits_in(limits)
     source = plan_with_cup(path, settings, urdf, topic)
     bound = bool(limits) or source.joints is not None
     scale, limit = _slowdown(source, method, bounds) if bound else (1.0, '')
@@ -171,35 +167,6 @@ def steer_plan(
         motions['as planned'] = _effect(source, source.tool)
     return SteerReport(
         source, method, motions, steered, scale, limit, bool(parameter_std(source.values).any()))
-
-
-def read_limits(content: object) -> Limits:
-    """
-    Return the limits in the content of a YAML file, explained in config/limits_example.yaml.
-
-    All limits are optional. Settings of `bellows excite` alone are ignored.
-
-    Raises
-    ------
-    BellowsError
-        If a name or number is invalid.
-
-    """
-    settings = Settings(content)
-    rates = read_rates(settings, NO_LIMIT)
-    safety = settings.number('safety_factor', 0.0, minimum=0.0)
-    box = settings.block('workspace')
-    lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
-                    for name, size in (('lower', -NO_LIMIT), ('upper', NO_LIMIT)))
-    acceleration = settings.number('joint_acceleration', NO_LIMIT, 'rad/s^2 or m/s^2', above=0.0)
-    settings.done(ignored=(
-        'start', 'joints', 'rotation', 'excitation', 'bending', 'torsion', 'highest_frequency',
-        'tracking'))
-    if (lower >= upper).any():
-        raise settings.error(
-            'workspace', f'workspace.lower is {lower.tolist()} and workspace.upper '
-            f'{upper.tolist()}; expected each number of lower below that of upper.')
-    return Limits(rates, lower, upper, safety, acceleration)
 
 
 def _slowdown(source: Source, method: str, limits: Limits) -> tuple[float, str]:

@@ -19,7 +19,7 @@ DOUBTFUL = {
 COMMANDS = {
     'plan': ('plan', '{plan}'),
     'toss': ('toss', '{plan}', '--release', '0.2', '--set', 'package.size=[0.2,0.16,0.06]'),
-    'steer': ('steer', '{plan}', '--method', 'zvd'),
+    'steer': ('plan', '{plan}', '--steer', 'zvd'),
     'simulate': ('simulate', '--motion', '{plan}', '--out', '{out}'),
     'static': ('static', ROOT / 'bags' / 'static', '--mass', '1.8'),
     'replay': ('replay', '{recording}'),

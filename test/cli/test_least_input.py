@@ -6,7 +6,6 @@ from bellows_ros.cli import COMMANDS
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.files.parameter_files import read_parameters
 import pytest
-from ruamel.yaml import YAML
 
 from .conftest import write_yaml
 from ..conftest import ROOT
@@ -26,10 +25,7 @@ LEAST = {
     'identify': ['recording', '--params', 'package.yaml'],
     'replay': ['recording', '--params', 'cup.yaml'],
     'plan': ['move.yaml', '--params', 'cup.yaml'],
-    'steer': ['move.yaml', '--params', 'cup.yaml', '--method', 'zvd'],
     'toss': ['throw.yaml', '--params', 'cup.yaml', '--release', '2.95'],
-    'excite': ['--params', 'cup.yaml', '--limits', 'limits.yaml', '--time', '5', '--hold', '0',
-               '--out', 'excited', '--force'],
     'simulate': ['--params', 'cup.yaml', '--motion', 'move.yaml', '--out', 'made', '--force']}
 """The least arguments of each command; None where its own tests have them."""
 NEEDED = {('toss', 'box'): 'package.size', ('toss', 'all'): 'package.size'}
@@ -54,8 +50,6 @@ def kitchen(workshop, identified, tmp_path_factory):
         'kind': 'waypoints', 'rest_duration': 0.5,
         'waypoints': {'poses': [{'position': [0.3, 0.0, 0.0], 'move': 0.5}]},
         'tool': {'rate_hz': 250.0}, 'package': {'rate_hz': 200.0}})
-    limits = YAML(typ='safe').load((ROOT / 'config' / 'limits_example.yaml').read_text())
-    write_yaml(folder / 'limits.yaml', {**limits, 'highest_frequency': 1.5})
     return folder
 
 
@@ -65,7 +59,7 @@ def test_every_command_has_its_least_input():
 
 @pytest.mark.parametrize('group', GROUPS)
 @pytest.mark.parametrize('command', [
-    'plan', 'steer', 'toss', 'simulate', 'replay'])
+    'plan', 'toss', 'simulate', 'replay'])
 def test_commands_run_without_an_optional_group(command, group, kitchen, bellows):
     """End to end, with a result as JSON; or name the parameter that is needed."""
     write_yaml(kitchen / 'cup.yaml', without(GROUPS[group]))
@@ -80,8 +74,8 @@ def test_commands_run_without_an_optional_group(command, group, kitchen, bellows
 
 
 @pytest.mark.parametrize(('command', 'more'), [
-    *((command, ()) for command in ('info', 'identify', 'parameters', 'excite')),
-    *(('steer', ('--method', method)) for method in ('zvd', 'zv'))])
+    *((command, ()) for command in ('info', 'identify', 'parameters')),
+    *(('plan', ('--steer', method)) for method in ('zvd', 'zv'))])
 def test_commands_run_with_their_least_input(command, more, kitchen, bellows):
     write_yaml(kitchen / 'cup.yaml', without(GROUPS['all']))
     done = bellows(command, *LEAST[command], *more, cwd=kitchen)

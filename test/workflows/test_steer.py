@@ -5,7 +5,7 @@ import json
 from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
 from bellows_ros.core.planning.arm import read_arm
-from bellows_ros.core.planning.limits import demands, NO_LIMIT, RATES
+from bellows_ros.core.planning.limits import demands, NO_LIMIT, RATES, read_limits
 from bellows_ros.core.planning.points import quintic, timed
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.errors import BellowsError
@@ -13,7 +13,7 @@ from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.plan_messages import JointPlan, PlanMessage
 from bellows_ros.files.plans import plans_in
-from bellows_ros.workflows.steer import read_limits, steer_plan
+from bellows_ros.workflows.steer import steer_plan
 import numpy as np
 import pytest
 
@@ -28,13 +28,6 @@ def test_bad_limits_are_refused(content, named):
         read_limits(content)
     assert read_limits({}).rates == dict.fromkeys(RATES, NO_LIMIT)
     assert np.all(read_limits(None).high == NO_LIMIT)
-
-
-def test_one_file_serves_excite_too(root):
-    """Read the file that explains every limit, and leave the rest of it alone."""
-    limits = read_limits(safe_yaml.load(root / 'config/limits_example.yaml'))
-    assert limits.rates['speed'] == 1.5 and limits.rates['angular_jerk'] == 2000.0
-    assert limits.high.tolist() == [1.3, 0.5, 1.2] and limits.safety_factor == 1.5
 
 
 @pytest.mark.parametrize('plan', ['transport', 'throw'])
@@ -122,7 +115,7 @@ def at_1_khz(joints, order):
 
 
 def test_steered_joints_move_the_tool_as_steered(arm, root, tmp_path):
-    joints, tool = answer(root, tmp_path, 'steer', '--method', 'zvd')
+    joints, tool = answer(root, tmp_path, 'plan', '--steer', 'zvd')
     assert joints.names == arm.moving
     require_same_motion(arm, joints, tool)
     times = tool.times_ns[tool.times_ns <= joints.times_ns[-1]] / 1e9
@@ -136,7 +129,7 @@ def test_steered_joints_move_the_tool_as_steered(arm, root, tmp_path):
 def test_limits_of_joints_stretch_the_motion(arm, root, tmp_path):
     limits = tmp_path / 'limits.yaml'
     limits.write_text('joint_acceleration: 2.0\n')
-    joints, tool = answer(root, tmp_path, 'steer', '--method', 'zvd', '--limits', str(limits))
+    joints, tool = answer(root, tmp_path, 'plan', '--steer', 'zvd', '--limits', str(limits))
     require_same_motion(arm, joints, tool)
     assert 1.5 < np.abs(at_1_khz(joints, 2)).max() <= 2.0 * (1 + 1e-6)
 

@@ -41,15 +41,6 @@ NO_LIMIT = 1e12
 """Placeholder for no limit."""
 
 
-def read_rates(settings: Settings, default: float | None = None) -> dict[str, float]:
-    """Return the limits by the names of `RATES`, from the blocks `linear` and `angular`."""
-    linear, angular = settings.block('linear'), settings.block('angular')
-    return {
-        name: (angular if name.startswith('angular') else linear).number(
-            name.removeprefix('angular_'), default, unit, above=0.0)
-        for name, unit in RATES.items()}
-
-
 class Limits(NamedTuple):
     """Limits of a motion; `NO_LIMIT`, or 0 for the safety factor, means no limit."""
 
@@ -65,6 +56,37 @@ class Limits(NamedTuple):
 
 NO_LIMITS = Limits(
     dict.fromkeys(RATES, NO_LIMIT), np.full(3, -NO_LIMIT), np.full(3, NO_LIMIT), 0.0)
+
+
+def read_limits(content: object) -> Limits:
+    """
+    Return the limits in the content of a YAML file, explained in config/limits_example.yaml.
+
+    All limits are optional.
+
+    Raises
+    ------
+    BellowsError
+        If a name or number is invalid.
+
+    """
+    settings = Settings(content)
+    linear, angular = settings.block('linear'), settings.block('angular')
+    rates = {
+        name: (angular if name.startswith('angular') else linear).number(
+            name.removeprefix('angular_'), NO_LIMIT, unit, above=0.0)
+        for name, unit in RATES.items()}
+    safety = settings.number('safety_factor', 0.0, minimum=0.0)
+    box = settings.block('workspace')
+    lower, upper = (box.vector(name, 3, (size,) * 3, 'm')
+                    for name, size in (('lower', -NO_LIMIT), ('upper', NO_LIMIT)))
+    acceleration = settings.number('joint_acceleration', NO_LIMIT, 'rad/s^2 or m/s^2', above=0.0)
+    settings.done()
+    if (lower >= upper).any():
+        raise settings.error(
+            'workspace', f'workspace.lower is {lower.tolist()} and workspace.upper '
+            f'{upper.tolist()}; expected each number of lower below that of upper.')
+    return Limits(rates, lower, upper, safety, acceleration)
 
 
 def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float]:
@@ -91,14 +113,22 @@ def demands(tool: Trajectory) -> dict[str, float]:
         float(at[1]) / NS_PER_S)
 
 
+def used_parts(limits: Limits, tool: Trajectory, safety_factor: float) -> dict[str, float]:
+    """Return the used part of each stated limit by a motion; a part above 1 exceeds its limit."""
+    rates, half = demands(tool), 0.5 * (limits.high - limits.low)
+    parts = {name: rates[name] / limit for name, limit in limits.rates.items() if limit < NO_LIMIT}
+    if (half < NO_LIMIT).any():
+        away = np.abs(tool.position - 0.5 * (limits.high + limits.low)) - 1e-9  # m, rounding
+        parts['workspace'] = float((away / half).max())
+    if limits.safety_factor > 0.0:
+        parts['safety_factor'] = limits.safety_factor / safety_factor
+    return parts
+
+
 def exceeded(limits: Limits, tool: Trajectory, safety_factor: float) -> str:
     """Return the name of the first limit that a motion exceeds, '' if none."""
-    rates = demands(tool)
-    inside = (tool.position >= limits.low - 1e-9) & (tool.position <= limits.high + 1e-9)
-    checks = {name: rates[name] <= limit for name, limit in limits.rates.items()}
-    checks['workspace'] = bool(inside.all())
-    checks['safety_factor'] = safety_factor >= limits.safety_factor
-    return next((name for name, is_kept in checks.items() if not is_kept), '')
+    parts = used_parts(limits, tool, safety_factor)
+    return next((name for name, part in parts.items() if part > 1.0), '')
 
 
 def first_allowed(

@@ -441,9 +441,9 @@ def joint_path(arm: Arm, tool: Trajectory, guess: Array) -> JointPath:
     return JointPath(seconds, position, velocity, acceleration)
 
 
-def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float, str]:
+def joint_parts(arm: Arm, path: JointPath, acceleration: float) -> dict[str, float]:
     """
-    Return the smallest factor of the duration within the limits of the joints, and the limit.
+    Return the used part of each limit of the joints; a part above 1 exceeds its limit.
 
     Parameters
     ----------
@@ -471,11 +471,18 @@ def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float,
                     f'range is {joint.lower:.4g} to {joint.upper:.4g} (rad or m). Start in '
                     'another configuration, or move the path.')
     speeds, rates = np.abs(curve(at, 1)).max(axis=0), np.abs(curve(at, 2)).max(axis=0)
-    demands = [(float(speed / joint.speed), f'{joint.name} speed')
-               for joint, speed in zip(joints, speeds, strict=True)]
-    demands += [(math.sqrt(rate / acceleration), f'{joint.name} acceleration')
-                for joint, rate in zip(joints, rates, strict=True)]
-    return max([(1.0, ''), *(each for each in demands if each[0] > 1.0)])
+    parts = {f'{joint.name} speed': float(speed / joint.speed)
+             for joint, speed in zip(joints, speeds, strict=True)}
+    parts |= {f'{joint.name} acceleration': float(rate / acceleration)
+              for joint, rate in zip(joints, rates, strict=True) if acceleration < math.inf}
+    return parts
+
+
+def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float, str]:
+    """Return the smallest factor of the duration within the limits of joints, and the limit."""
+    factors = [(math.sqrt(part) if name.endswith('acceleration') else part, name)
+               for name, part in joint_parts(arm, path, acceleration).items() if part > 1.0]
+    return max([(1.0, ''), *factors])
 
 
 class Joints(NamedTuple):

@@ -1,1 +1,0 @@
-"""Design of motions that identify the cup, within the limits of an arm."""
