@@ -41,8 +41,7 @@ LATE = {
     'bellows_ros/demo/steps.py': ('bellows_ros.nodes.bag_player',),
     'bellows_ros/workflows/identification.py': ('bellows_ros.workflows.replay',),
     'bellows_ros/workflows/identify.py': (
-        'bellows_ros.workflows.compare', 'bellows_ros.workflows.replay',
-        'bellows_ros.workflows.workers'),
+        'bellows_ros.workflows.replay', 'bellows_ros.workflows.workers'),
     'bellows_ros/workflows/recordings.py': (
         'bellows_ros.workflows.holds', 'bellows_ros.workflows.registration'),
     'bellows_ros/workflows/toss.py': ('bellows_ros.workflows.identify',)}

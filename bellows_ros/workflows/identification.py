@@ -38,7 +38,6 @@ from bellows_ros.workflows.verdict import FitVerdict
 import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
-    from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
 
 NORMAL_95 = 1.959963984540054
@@ -80,8 +79,6 @@ class Identification(CommandResult):
         Used recordings, reduced.
     recordings : tuple of Recording
         The first of the used recordings, kept for later steps.
-    consistency : ComparedFits or None
-        Test for one cup by each recording alone, None if not requested.
     static : StaticResult or None
         Result of the recordings of standstills, None without any.
     validations : tuple of Replay
@@ -101,7 +98,6 @@ class Identification(CommandResult):
     values: Values
     parts: tuple[samples.ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
-    consistency: 'ComparedFits | None' = None
     static: StaticResult | None = None
     validations: tuple['Replay', ...] = ()
     verdict: FitVerdict | None = None
@@ -319,7 +315,6 @@ class Identification(CommandResult):
     @property
     def notes(self) -> tuple[str, ...]:
         """Findings in addition to K and P, as sentences."""
-        consistency = self.consistency
         return (
             *(self.verdict.sentences if self.verdict else (
                 (NO_VERDICT,) * bool(self.values.topics.package_pose))),
@@ -328,7 +323,6 @@ class Identification(CommandResult):
             *self._clock_sentences(),
             *self._free_sentences(),
             *_standstill_sentences(self),
-            *((consistency.verdict,) if consistency and not consistency.differs else ()),
             *(text for each in self.validations for text in (
                 *map(text_of, offset_finding(each.bag, each.time_offset)), each.sentence)))
 
@@ -368,13 +362,11 @@ class Identification(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings: about the input, the fit, the recordings, the validations."""
-        consistency, static = self.consistency, self.static
         return (
             *(f"Recording '{bag}' was left out: {reason}" for bag, reason in self.failed),
             *self.assumed,
             *self._fit_warnings(),
-            *((consistency.verdict,) if consistency and consistency.differs else ()),
-            *(static.warnings if static else ()),
+            *(self.static.warnings if self.static else ()),
             *(text for part in self.parts for text in part.report['warnings']),
             *(f'{each.bag}: {text}' for each in self.validations for text in each.warnings))
 
@@ -395,7 +387,6 @@ class Identification(CommandResult):
             'verdict': self.verdict,
             'recordings': [part.report for part in self.parts],
             'static': self.static,
-            'one_cup': self.consistency and self.consistency.verdict_json(),
             'validations': self.validations,
             'envelope': self.envelope,
             'settings': dict(self.values),

@@ -16,7 +16,6 @@ from bellows_ros.core import configure_process, usable_cores
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import as_found, payload_of
-from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.samples import (
     AnyRecording,
     reduced,
@@ -38,7 +37,6 @@ from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
 import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
-    from bellows_ros.workflows.compare import ComparedFits
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.workers import Cluster
 
@@ -343,33 +341,13 @@ def _identify(
     identified = identification.Identification(
         fit, values,
         tuple(reduced(part, effective.cup.length) for part in parts),
-        tuple(recordings), _consistency(parts, effective, progress, pairs), verdict=verdict,
-        assumed=assumed, **more)
+        tuple(recordings), verdict=verdict, assumed=assumed, **more)
     if static:
         identified = replace(
             identified, static=static._replace(cup_length=identified.cup_length))
     identified = replace(identified, validations=tuple(_validated(identified, progress)))
     progress('done', 1.0)
     return identified
-
-
-def _consistency(
-    parts: Sequence[AnyRecording], values: Values, progress: Progress,
-    pairs: Held,
-) -> 'ComparedFits | None':
-    """Return the test for one cup by each recording alone, with fit.compare_recordings."""
-    if not values.fit.compare_recordings or len(parts) < 2:
-        return None
-
-    def alone(number: int, name: str) -> Fit:
-        return methods.fitted(
-            [parts[number]], values,
-            lambda what, _: progress(f'{name} alone, {what}', FIT_ENDS),
-            pairs.only([number]))
-
-    from bellows_ros.workflows.compare import consistency
-
-    return consistency(parts, alone)
 
 
 def _validated(

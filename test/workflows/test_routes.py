@@ -52,12 +52,12 @@ def leaves(content, path=''):
     'axisymmetric', *(pytest.param(name, marks=pytest.mark.stress)
                       for name in ('diagonal', 'full'))])
 def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, root, structure):
-    asked = {**settings, 'fit.structure': structure, 'fit.compare_recordings': True,
+    asked = {**settings, 'fit.structure': structure,
              'static.bags': [str(root / 'bags/static')],
              'validation.bags': [str(root / 'bags/validation')]}
     at_once = identify(asked)
     wanted = content_of(at_once)
-    assert wanted['recordings'][0]['noise'] and wanted['one_cup'] and wanted['envelope']
+    assert wanted['recordings'][0]['noise'] and wanted['envelope']
     assert wanted['static']['recordings'][0]['standstills']
     clocked = ('.validations.0.live.took', '.validations.0.live.real_time_factor')
     expected = {path: leaf for path, leaf in leaves(wanted).items() if path not in clocked}
@@ -99,7 +99,7 @@ def test_dask_cluster_gives_the_same(settings, one_result, cluster):
 @pytest.fixture(scope='module')
 def simulated(settings):
     """Return the settings of a fit by simulation, and its result in this process."""
-    asked = {**settings, 'fit.method': 'output_error', 'fit.compare_recordings': True}
+    asked = {**settings, 'fit.method': 'output_error'}
     return asked, content_of(identify(asked))
 
 
