@@ -36,15 +36,17 @@ from bellows_ros.core.signals.trajectory import (
     Trajectory,
     TwistStream,
 )
-from bellows_ros.errors import BellowsError, shown
+from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, File, messages, plans, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import read_contents
 from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
-from bellows_ros.workflows.recordings import remark_sentences, within_interval
+from bellows_ros.workflows.recordings import within_interval
 import numpy as np
+
+AnyFinding = Finding | Remark
 
 MIN_HOLD = 4.0
 """Shortest hold in which creep of rubber is observable, s."""
@@ -57,9 +59,6 @@ IMPLAUSIBLE_DISTANCE = (0.3, 10.0)
 
 MAX_CHANGE = 0.05
 """Largest change of a plausible distance from tool to package, m."""
-
-MAX_FRAMES = 20
-"""Largest number of frames of transforms that are named."""
 
 HOLD_STEP = 0.25
 """Time between the compared poses of a hold, s."""
@@ -111,8 +110,8 @@ class TopicInfo(NamedTuple):
     motion : mapping of str to list of 3 floats
         Range of the coordinates of 'position' (m) and of 'rotation', the rotation vector (rad)
         from the start, in recorded axes.
-    warnings : tuple of str
-        Warnings for an identification from these poses.
+    remarks : tuple of Remark
+        Findings for an identification from these poses.
 
     """
 
@@ -131,7 +130,7 @@ class TopicInfo(NamedTuple):
     outliers: int = 0
     noise: Mapping[str, list[float]] = MappingProxyType({})
     motion: Mapping[str, list[float]] = MappingProxyType({})
-    warnings: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
 
 class Guess(NamedTuple):
@@ -193,8 +192,8 @@ class Info(NamedTuple):
         Duration of the initial rest of both bodies, s.
     settings : mapping
         Parameters for reading the recording, by name.
-    notes : tuple of str
-        Warnings for an identification from the recording.
+    findings : tuple of Finding
+        Findings for an identification from the recording.
     checks : tuple of Judgement
         Checks before a fit, in the order in which they should be settled.
 
@@ -207,7 +206,7 @@ class Info(NamedTuple):
     twist: Guess | None
     rest_s: float | None
     settings: Mapping[str, Any]
-    notes: tuple[str, ...]
+    findings: tuple[AnyFinding, ...]
     checks: tuple[Judgement, ...] = ()
 
     @property
@@ -217,10 +216,17 @@ class Info(NamedTuple):
                 and not is_named(topic.name, str(PARAMETERS['topics.held'].default))]
         return able[0] if len(able) == 1 else ''
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences of the findings."""
+        return tuple(map(text, self.findings))
+
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         return results.with_units({
-            **self._asdict(), 'valve': self.valve,
+            **self._asdict(), 'valve': self.valve, 'findings': self.notes,
+            'topics': [{**topic._asdict(), 'remarks': [*map(text, topic.remarks)]}
+                       for topic in self.topics],
             'checks': [check._asdict() for check in self.checks]})
 
 
@@ -247,8 +253,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
         If there is no recording, or it is damaged.
 
     """
-    notes: list[str] = []
-    counts = topics(path, notes)
+    counts = topics(path)
     wanted = {
         f'{topic.name} {kind}': topic.name for topic in counts if topic.messages
         for kind in KINDS if topic.type_name in (
@@ -262,22 +267,10 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for role, s in streams.items() if isinstance(s, TwistStream)
               and role.endswith('twist') and len(s) > 2}
-    if len(poses) < 2 and any(topic.type_name == plans.TF and topic.messages for topic in counts):
-        notes.append(_frames_note(path, has_poses=bool(poses)))
-    return _with_roles(path, described, poses, twists, span, notes)
-
-
-def _frames_note(path: File, has_poses: bool) -> str:
-    """Return the moving frames of the transforms, and the command that converts them to poses."""
-    frames = '--tool-link LINK' if has_poses else '--tool-frame FRAME --package-frame FRAME'
-    moving = list(map(shown, plans.moving_frames(plans.read_transforms(path))))
-    if len(moving) > MAX_FRAMES:
-        moving[MAX_FRAMES:] = [f'and {len(moving) - MAX_FRAMES} more']
-    return (
-        f'It has transforms instead of poses{" of the tool" * has_poses}. '
-        f'Frames that move: {", ".join(moving) or "none"}. '
-        f"Make a recording with poses: 'bellows convert {shown(os.fspath(path))} "
-        f"{frames} --out with_poses'.")
+    has_only_tf = len(poses) < 2 and any(
+        topic.type_name == plans.TF and topic.messages for topic in counts)
+    return _with_roles(path, described, poses, twists, span,
+                       [Finding('only_transforms')] if has_only_tf else [])
 
 
 def _describe_topic(
@@ -317,16 +310,16 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
             'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},
-            'warnings': remark_sentences(preparation.remarks_on(
+            'remarks': tuple(preparation.remarks_on(
                 recording.StreamReport(stream, time, outliers, arrivals=arrivals)))}
     return quality
 
 
 def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
-    twists: Mapping[str, TwistStream], span: Mapping[str, Any], notes: list[str]
+    twists: Mapping[str, TwistStream], span: Mapping[str, Any], findings: list[AnyFinding]
 ) -> Info:
-    """Return the recording with roles, settings and notes."""
+    """Return the recording with roles, settings and findings."""
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
     pair = max(filter(None, pairs), key=lambda pair: pair.score, default=None)
     tool, package = (pair.tool, pair.package) if pair else _roles_by_name(poses)
@@ -341,58 +334,50 @@ def _with_roles(
                 for topic in described if topic.type_name == kind
                 and is_named(topic.name, str(PARAMETERS[parameter].default))), {})}
     used = {guess.topic for guess in (tool, package, twist) if guess}
-    notes += [f'{topic.name} cannot be used: {topic.problem}' for topic in described
-              if topic.problem]
-    notes += [text for topic in described if topic.name in used for text in topic.warnings]
-    rest_s, found = None, tuple[Judgement, ...]()
+    findings += [Finding('unusable_topic', Level.WARN, {'problem': topic.problem}, topic.name)
+                 for topic in described if topic.problem]
+    findings += [remark for topic in described if topic.name in used for remark in topic.remarks]
+    rest_s, judged = None, tuple[Judgement, ...]()
     streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
     if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
-        rest_s, found = _registration_settings(pair, streams, path, settings, notes)
+        rest_s, findings, judged = _both_bodies(pair, streams, settings, findings)
     else:
-        notes.append(
-            'An identification needs the poses of tool and package; the tool alone is enough '
-            'only for a simulation or a prediction.')
+        findings.append(Finding('needs_both_poses'))
     if in_degrees and twist:
-        notes[:0] = remark_sentences([Remark('twist_in_degrees', {'topic': twist.topic})])
-    return Info(str(Path(path)), described, tool, package, twist, rest_s, settings, tuple(notes),
-                found)
+        findings.insert(0, Finding('twist_in_degrees', Level.WARN, {}, twist.topic))
+    return Info(str(Path(path)), described, tool, package, twist, rest_s, settings,
+                tuple(findings), judged)
 
 
-def _registration_settings(
-    pair: Pair | None, streams: Sequence[PoseStream], path: File, settings: dict[str, Any],
-    notes: list[str]
-) -> tuple[float | None, tuple[Judgement, ...]]:
-    """Add settings and notes on both poses; return the initial rest (s), and checks."""
-    remarks, (tool, package) = list[str](), streams
+def _both_bodies(
+    pair: Pair | None, streams: Sequence[PoseStream], settings: dict[str, Any],
+    findings: list[AnyFinding]
+) -> tuple[float | None, list[AnyFinding], tuple[Judgement, ...]]:
+    """Add settings on both poses; return the initial rest (s), findings, and checks."""
+    rest_s, (tool, package) = None, streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
     remarked = pose_remarks(RecordedPoses(tool, package, R))
     found = [remark for remark in remarked if remark.code != 'tool_z']  # a check below
-    wrong = any(each.prevents for each in found)
-    separate = '' if wrong else _why_separate(pair, tool, package)
+    is_wrong = any(each.prevents for each in found)
+    separate = None if is_wrong else _why_separate(pair, tool, package)
+    more: list[AnyFinding] = [separate] if separate else []
     if separate:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
             'fit.time_offset': True, 'fit.free': ('package_marker',)}
-        remarks.append(
-            f'{separate} recording.package_world: {checks.ESTIMATE} finds how the world of the '
-            'package lies in that of the tool, best with standstills tilted to several sides at '
-            'the end; if you know it, give its seven numbers. The time offset and the marker are '
-            'estimated, too: leave out what you know.')
     elif pair:
         settings['recording.world'] = pair.world
-    rest_s = None
     if pair:
-        rest_s, at_rest, more = _initial_rest(pair, tool, package, bool(separate))
+        rest_s, at_rest, of_rest = _initial_rest(pair, tool, package, bool(separate))
         settings |= at_rest
-        remarks += more
+        more += of_rest
     if not (separate or any(each.prevents for each in remarked)):
         found += _prepared_remarks(tool, package, settings)
-    error = ' '.join(remark_sentences([each for each in found if each.prevents]))
-    notes += remark_sentences([each for each in found if not each.prevents])
-    notes[:] = [error] if error else notes + remarks  # others are doubtful after an error
-    return rest_s, () if error else checks_of(
+    if wrong := [each for each in found if each.prevents]:  # others are doubtful then
+        return rest_s, [*wrong], ()
+    return rest_s, [*findings, *found, *more], checks_of(
         # m, approximate depth of the com
         tool, package, R, THESIS_LENGTH + 0.03, bool(separate),
         bool(settings.get('recording.align_at_rest')))
@@ -411,26 +396,28 @@ def _prepared_remarks(
     return recording_remarks(prepared)
 
 
-def _why_separate(pair: Pair | None, tool: PoseStream, package: PoseStream) -> str:
-    """Return the reason for two worlds or two clocks of two topics, '' if consistent."""
-    frames = shown(tool.frame_id), shown(package.frame_id)
-    if all(frames) and frames[0] != frames[1]:
-        return f"The tool is in frame '{frames[0]}', the package in '{frames[1]}'."
+def _why_separate(
+    pair: Pair | None, tool: PoseStream, package: PoseStream
+) -> Finding | None:
+    """Return the finding on two worlds or two clocks of two topics, None if consistent."""
+    frames = {'tool': tool.frame_id, 'package': package.frame_id}
+    if all(frames.values()) and tool.frame_id != package.frame_id:
+        return Finding('two_frames', Level.WARN, frames)
     first, last = common_span(tool, package)
     if last < first:
-        return 'The stamps of tool and package do not overlap: they are of two clocks.'
+        return Finding('two_clocks')
     low, high = IMPLAUSIBLE_DISTANCE
     if pair and low < pair.distance < high and pair.change > MAX_CHANGE:
-        return (f'The package is {pair.distance * 1e3:.0f} mm from the tool, which changes by '
-                f'{pair.change * 1e3:.0f} mm: no cup. Their poses are of two worlds.')
-    return ''
+        return Finding('two_worlds', Level.WARN, {
+            'distance': pair.distance, 'change': pair.change})
+    return None
 
 
 def _initial_rest(
     pair: Pair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
-) -> tuple[float, dict[str, Any], list[str]]:
+) -> tuple[float, dict[str, Any], list[AnyFinding]]:
     """
-    Return the duration of the initial standstill, its settings, and remarks.
+    Return the duration of the initial standstill, its settings, and findings.
 
     Distance and relative rotation of bodies in two worlds are not evaluated.
     """
@@ -441,22 +428,14 @@ def _initial_rest(
     # An off-centre package is also rotated, and a fit estimates its marker.
     aligned = rest.is_turned and not separate and bool(
         rest.tilts[0] > np.deg2rad(1.0) or rest.turned > np.deg2rad(10.0))
-    notes = [text for text, applies in (
-        (f'At the start the package is {pair.distance * 1e3:.1f} mm from the tool. That is about '
-         'cup.length if its poses are those of the lip (recording.package_frame: lip), or '
-         'cup.length plus the depth of package.com if they are those of the centre of mass '
-         '(com).', not separate),
-        (f'The standstill at the beginning lasts only {rest.seconds:.1f} s. Start with 2 s of '
-         'standstill, so that rotated marker frames can be detected.',
-         rest.seconds < alignment.MIN_REST),
-        (f'No tilt is held for {MIN_HOLD:g} s, so how far the rubber creeps (cup.relaxation) is '
-         'not seen. Hold one still for 5 to 10 s in addition.',
-         longest_hold(tool) < MIN_HOLD)) if applies]
+    numbers = {'distance': pair.distance, 'seconds': rest.seconds, 'least': MIN_HOLD}
+    findings: list[AnyFinding] = [Finding(code, Level.WARN, numbers) for code, applies in (
+        ('start_distance', not separate), ('short_rest', rest.seconds < alignment.MIN_REST),
+        ('no_hold', longest_hold(tool) < MIN_HOLD)) if applies]
     # 90 % of the standstill, to 0.1 s
     duration = max(0.1, float(np.floor(10.0 * 0.9 * rest.seconds) / 10.0))
     settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
-    return rest.seconds, settings, [
-        *notes, *(() if separate else remark_sentences(rest.remarks))]
+    return rest.seconds, settings, [*findings, *(() if separate else rest.remarks)]
 
 
 def longest_hold(tool: Trajectory) -> float:

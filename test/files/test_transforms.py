@@ -2,12 +2,11 @@
 
 from bellows_ros.core.geometry.lie import exp_se3, inverse_transform, rotation_to_quaternion
 from bellows_ros.errors import BellowsError, NoTopicError
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
+from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.detections import read_contents, TagSought
 from bellows_ros.files.plans import poses_in, read_transforms, TF
 from bellows_ros.workflows.convert import bodies_in_transforms, to_bag
-from bellows_ros.workflows.info import info
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -165,21 +164,6 @@ def test_damaged_transforms_are_an_error(tmp_path):
             tmp_path / 'bag', [Encoded('/tf', TF, np.array([10**18]), [damaged])], replace=True)
         with pytest.raises(BellowsError):
             read_transforms(tmp_path / 'bag')
-
-
-def test_info_names_the_frames_that_move_and_how_to_convert(tmp_path):
-    folder = recording(tmp_path / 'tf')
-    (note,) = [text for text in info(folder).notes if 'bellows convert' in text]
-    assert 'base, box, flange' in note  # not what is fixed
-    assert f'bellows convert {folder} --tool-frame' in note
-
-
-def test_info_names_the_link_of_the_tool_where_only_the_package_has_poses(tmp_path):
-    stamps = T0 + 10_000_000 * np.arange(100)
-    package = as_messages('/package/pose', made.POSE, stamps, made.pose_values(100))
-    (note,) = [text for text in info(recording(tmp_path / 'tf', topics=[package])).notes
-               if 'bellows convert' in text]
-    assert 'poses of the tool' in note and '--tool-link LINK' in note
 
 
 def test_a_tag_on_tf_alone_is_read_in_the_frame_of_its_camera(tmp_path):
