@@ -1,17 +1,15 @@
 """List the topics of a recording, and guess their roles."""
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 import math
-import textwrap
-from typing import Any
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording.alignment import MIN_REST
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files.atomic import write_text
 from bellows_ros.report.sentences import many
-from bellows_ros.workflows.info import check_sentence, Info, info, TopicInfo
+from bellows_ros.workflows.info import Info, info, TopicInfo
 
 from . import options
 from .console import Console
@@ -28,17 +26,13 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     console.progress(f'reading {arguments.bag}')
     result = info(arguments.bag, options.interval_settings(arguments))
     if arguments.write_params:
-        settings = {**result.settings, **{
-            name: check.settings[name] for check in result.checks
-            for name in ('tool_pose.offset', 'recording.package_frame') if name in check.settings}}
-        is_tag = any(check.numbers.get('kind') == 'tag' for check in result.checks)
-        if is_tag and 'fit.free' in settings:
+        settings = dict(result.settings)
+        if result.is_tag and 'fit.free' in settings:
             settings['fit.free'] = (*settings['fit.free'], 'scale')  # a tag of another size
-        unknown = UNKNOWN + ('measured.tag_size',) * is_tag
+        unknown = UNKNOWN + ('measured.tag_size',) * result.is_tag
         write_text(arguments.write_params, template_with(
             [PARAMETERS[name] for name in unknown if name not in settings], settings,
-            [f'How to read {result.path}, as found by bellows info; check it.'],
-            _commented(result, settings)))
+            [f'How to read {result.path}, as found by bellows info; check it.']))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
     return options.Outcome(result, then=(
         'Fill in the package there, then:',
@@ -70,31 +64,6 @@ def print_result(result: Info, console: Console) -> None:
     if result.rest_s is not None and result.rest_s >= MIN_REST:
         console.line(f'Both stand still for the first {result.rest_s:.1f} s.')
     console.paragraph(*result.notes)
-    if result.checks:
-        console.line()
-        console.line('Checks before a fit, in the order to settle them', 'bold')
-        for check in result.checks:
-            console.paragraph(f'  {"ok" if check.passed else "- "} {check_sentence(check)}')
-
-
-def _commented(result: Info, settings: Mapping[str, Any]) -> list[str]:
-    """Return comments for a parameter file: each check and its result."""
-    lines = list[str]()
-    for check in result.checks:
-        lines += textwrap.wrap(
-            check_sentence(check), 97, initial_indent='    # ', subsequent_indent='    # ')
-        lines += [f'    #{name}: {_yaml(value)}' for name, value in check.settings.items()
-                  if name in PARAMETERS and settings.get(name) != value]
-    return ['    # CHECKS BEFORE A FIT, in the order to settle them.', *lines] if lines else []
-
-
-def _yaml(value: object) -> str:
-    """Return a value in the form of a parameter file."""
-    if isinstance(value, list | tuple):
-        return f'[{", ".join(map(_yaml, value))}]'
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'{value:g}' if isinstance(value, float) else f"'{value}'"
 
 
 def _topic_rows(result: Info) -> list[tuple[str, ...]]:

@@ -71,9 +71,8 @@ def template(parameters: Iterable[Parameter]) -> str:
 
 def template_with(
     required: list[Parameter], values: Mapping[str, Any], header: Sequence[str],
-    comments: Sequence[str] = (),
 ) -> str:
-    """Return a parameter file with values; required ones and others as comments to fill in."""
+    """Return a parameter file with values; required ones as comments to fill in."""
     text = format_parameters(values, header)
     head, body = text.split(SECTION, 1)
     lines = [f"{INDENT}# SET THESE where they apply: remove the '#', and change the example."]
@@ -84,5 +83,5 @@ def template_with(
         unit = f'  # {parameter.unit}' if parameter.unit else ''
         example = parameter.example or parameter.default
         lines.append(f'{INDENT}#{parameter.name}: {example}{unit}')
-    to_fill_in = ''.join(f'{line}\n' for line in [*(lines if required else ()), *comments])
+    to_fill_in = ''.join(f'{line}\n' for line in lines if required)
     return head + SECTION + to_fill_in + (body if values else '')

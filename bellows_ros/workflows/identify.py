@@ -125,8 +125,7 @@ def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['
 def _require_no_faults(parts: Sequence[AnyRecording], values: Values, more: str = '') -> None:
     """Raise for recordings with faults that make a cup wrong."""
     for part in parts:
-        reading.require_none(
-            reduced(part, values.cup.length).remarks, FIT, more)
+        reading.require_none(reduced(part, values.cup.length).remarks, FIT, more)
 
 
 def resolved(settings: Mapping[str, Any]) -> Values:

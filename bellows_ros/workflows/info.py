@@ -15,12 +15,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.alignment import Remark
-from bellows_ros.core.recording.commission import checks_of, Judgement
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import (
@@ -29,6 +27,7 @@ from bellows_ros.core.recording.pose_faults import (
     twist_errors,
     TWIST_TOLERANCE,
 )
+from bellows_ros.core.recording.prepared_faults import sensor_remarks
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
@@ -53,6 +52,13 @@ MIN_HOLD = 4.0
 
 MIN_TILT = 0.1
 """Smallest tilt of a hold in which creep of rubber is observable, rad."""
+
+FLANGE_OUTWARD = '0 0 0 1 0 0 0'
+"""Pose of the tool tip in a flange with z out of the arm: a half turn about x."""
+
+FLANGE_ANGLE = np.deg2rad(160.0)
+"""Smallest angle of z of the tool from the vertical, rad, at which axes aligned at rest also
+indicate a flange with z out of the arm."""
 
 IMPLAUSIBLE_DISTANCE = (0.3, 10.0)
 """Range of distances that are implausible for a package on its tool, m."""
@@ -194,8 +200,6 @@ class Info(NamedTuple):
         Parameters for reading the recording, by name.
     findings : tuple of Finding
         Findings for an identification from the recording.
-    checks : tuple of Judgement
-        Checks before a fit, in the order in which they should be settled.
 
     """
 
@@ -207,7 +211,6 @@ class Info(NamedTuple):
     rest_s: float | None
     settings: Mapping[str, Any]
     findings: tuple[AnyFinding, ...]
-    checks: tuple[Judgement, ...] = ()
 
     @property
     def valve(self) -> str:
@@ -215,6 +218,11 @@ class Info(NamedTuple):
         able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL
                 and not is_named(topic.name, str(PARAMETERS['topics.held'].default))]
         return able[0] if len(able) == 1 else ''
+
+    @property
+    def is_tag(self) -> bool:
+        """Whether the package's poses seem to be of a detected tag."""
+        return any(finding.code == 'tag_as_body' for finding in self.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -226,14 +234,7 @@ class Info(NamedTuple):
         return results.with_units({
             **self._asdict(), 'valve': self.valve, 'findings': self.notes,
             'topics': [{**topic._asdict(), 'remarks': [*map(text, topic.remarks)]}
-                       for topic in self.topics],
-            'checks': [check._asdict() for check in self.checks]})
-
-
-def check_sentence(check: Judgement) -> str:
-    """Return a check before a fit and its result in words."""
-    return text(Finding(f'check_{check.code}', Level.OK if check.passed else Level.WARN,
-                        check.numbers))
+                       for topic in self.topics]})
 
 
 def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
@@ -337,36 +338,38 @@ def _with_roles(
     findings += [Finding('unusable_topic', Level.WARN, {'problem': topic.problem}, topic.name)
                  for topic in described if topic.problem]
     findings += [remark for topic in described if topic.name in used for remark in topic.remarks]
-    rest_s, judged = None, tuple[Judgement, ...]()
+    rest_s = None
     streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
     if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
-        rest_s, findings, judged = _both_bodies(pair, streams, settings, findings)
+        rest_s, findings = _both_bodies(pair, streams, settings, findings)
     else:
         findings.append(Finding('needs_both_poses'))
     if in_degrees and twist:
         findings.insert(0, Finding('twist_in_degrees', Level.WARN, {}, twist.topic))
     return Info(str(Path(path)), described, tool, package, twist, rest_s, settings,
-                tuple(findings), judged)
+                tuple(findings))
 
 
 def _both_bodies(
     pair: Pair | None, streams: Sequence[PoseStream], settings: dict[str, Any],
     findings: list[AnyFinding]
-) -> tuple[float | None, list[AnyFinding], tuple[Judgement, ...]]:
-    """Add settings on both poses; return the initial rest (s), findings, and checks."""
+) -> tuple[float | None, list[AnyFinding]]:
+    """Add settings on both poses; return the initial rest (s), and findings."""
     rest_s, (tool, package) = None, streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
     remarked = pose_remarks(RecordedPoses(tool, package, R))
-    found = [remark for remark in remarked if remark.code != 'tool_z']  # a check below
+    found = [remark for remark in remarked if remark.code != 'tool_z']  # has a setting
     is_wrong = any(each.prevents for each in found)
     separate = None if is_wrong else _why_separate(pair, tool, package)
     more: list[AnyFinding] = [separate] if separate else []
     if separate:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
-            'fit.time_offset': True, 'fit.free': ('package_marker',)}
+            'fit.time_offset': True, 'fit.free': ('package_marker',),
+            'recording.package_frame': 'com'}
+        found += _of_tag(package)
     elif pair:
         settings['recording.world'] = pair.world
     if pair:
@@ -376,11 +379,22 @@ def _both_bodies(
     if not (separate or any(each.prevents for each in remarked)):
         found += _prepared_remarks(tool, package, settings)
     if wrong := [each for each in found if each.prevents]:  # others are doubtful then
-        return rest_s, [*wrong], ()
-    return rest_s, [*findings, *found, *more], checks_of(
-        # m, approximate depth of the com
-        tool, package, R, THESIS_LENGTH + 0.03, bool(separate),
-        bool(settings.get('recording.align_at_rest')))
+        return rest_s, [*wrong]
+    is_aligned = settings.get('recording.align_at_rest')
+    outward = [remark for remark in remarked if remark.code == 'tool_z' and (
+        not is_aligned or remark.numbers['angle'] > FLANGE_ANGLE)]
+    settings |= {'tool_pose.offset': FLANGE_OUTWARD} if outward else {}
+    return rest_s, [*outward, *findings, *found, *more]
+
+
+def _of_tag(package: PoseStream) -> list[Remark]:
+    """Return the remark on poses of a detected tag that are given as of a tracked body."""
+    time, body = timing(package.stamps_ns), package.trajectory()
+    outliers = find_outliers(body, time.longest_step_ns)
+    found = sensor_remarks(body.select(outliers.good), time.rate_hz,
+                           outliers.excursions / len(body), False, False)
+    return [remark._replace(numbers={**remark.numbers, 'topic': package.name})
+            for remark in found]
 
 
 def _prepared_remarks(

@@ -101,7 +101,7 @@ def load(
         from bellows_ros.workflows.holds import masks_held  # with the live predictor
 
         streams = _selected(streams, masks_held(path, streams, values))
-    recording = prepare_streams(streams, settings, values, name, accepted)
+    recording = prepare_streams(streams, settings, values, accepted)
     report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
     files = tuple(bag_folder.digests(path)) if with_digest else ()
     return replace(
@@ -178,8 +178,7 @@ def _steps_within(stream: Any, mask: Mask) -> dict[str, Any]:
 
 
 def prepare_streams(
-    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str = '',
-    accepted: str = '',
+    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, accepted: str = '',
 ) -> Recording:
     """
     Return prepared streams, in one world and on one clock, with sentences on their remarks.
@@ -187,7 +186,7 @@ def prepare_streams(
     Streams are poses of tool and package, and twists of the tool, if any, by the names of their
     topics.
     """
-    recording = _prepared(streams, settings, values, name, accepted)
+    recording = _prepared(streams, settings, values, accepted)
     return _with_sentences(recording, recording.report.remarks)
 
 
@@ -231,7 +230,7 @@ def require_none(remarks: Iterable[Remark], use: str, more: str = '') -> None:
 
 
 def _prepared(
-    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, name: str, accepted: str
+    streams: Mapping[str, Any], settings: PrepareSettings, values: Values, accepted: str
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
     streams = within_interval(streams, values)

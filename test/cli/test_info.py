@@ -80,17 +80,3 @@ def test_a_part_of_a_recording_is_looked_at(succeed, workshop, tmp_path):
     assert all(1.4 < topic['duration_s'] <= 1.5 for topic in found['topics'] if topic['kind'])
     written = read_parameters(out)
     assert (written['recording.start'], written['recording.end']) == (1.0, 2.5)
-
-
-def test_checks_before_a_fit_stand_as_comments_in_the_parameter_file(
-        tmp_path, succeed, root):
-    """With what they found, so that a user removes a '#' at most."""
-    done = succeed('info', root / 'bags' / 'identification', '--write-params', 'cell.yaml',
-                   cwd=tmp_path)
-    assert 'Checks before a fit' in done.stdout
-    text = (tmp_path / 'cell.yaml').read_text()
-    assert '# CHECKS BEFORE A FIT' in text
-    assert '    #measured.noise: [0.0001, 0.0005]\n' in text
-    names = ['z of the tool', 'clocks', 'frames', 'marker', 'detector', 'excursions', 'rate']
-    places = [text.index(f'    # {name}: ') for name in names]
-    assert places == sorted(places)

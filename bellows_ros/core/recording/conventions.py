@@ -1,12 +1,12 @@
 """
-Wrong units, axes and quaternion orders of recorded poses.
+Wrong units and quaternions of recorded poses.
 
 Each is a correction of one body or of both, after which the package moves least in its tool.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import permutations, product
+from itertools import product
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
@@ -46,13 +46,8 @@ SIMPLER = 0.9
 OPPOSITE = -0.6
 """Largest correlation of two rotations of which one is inverse."""
 
-AXIS_ROTATIONS = [
-    axes for order in permutations(np.eye(3)) for signs in product((1.0, -1.0), repeat=3)
-    if np.linalg.det(axes := np.multiply(order, np.array(signs)[:, None])) > 0.0][1:]
-"""Rotations (3, 3) that permute axes."""
-
 DECISIVE = 0.5
-"""Ratio of misfits below which another candidate replaces another order of quaternions, the most
+"""Ratio of misfits below which inverse rotations replace another order of quaternions, the more
 frequent fault."""
 
 UPRIGHT = 0.2
@@ -91,12 +86,6 @@ def conjugated(body: Trajectory) -> Trajectory:
     return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
 
 
-def inverted(body: Trajectory) -> Trajectory:
-    """Return the inverse poses."""
-    back = np.swapaxes(body.rotation, 1, 2)
-    return replace(body, position=-lie.apply(back, body.position), rotation=back)
-
-
 def changed(bodies: Bodies, wrong: Sequence[bool], change: Change) -> Bodies:
     """Return both bodies, the wrong ones changed."""
     tool, package = (change(body) if is_wrong else body
@@ -120,41 +109,22 @@ def units_of(bodies: Bodies, one_frame: bool) -> tuple[bool, bool]:
                default=(0.0, (False, False)))[1]
 
 
-def corrections(bodies: Bodies, is_opposite: bool) -> Iterator[tuple[Remark, Bodies]]:
-    """Yield the faults that both bodies may have, with the bodies after their correction."""
-    for code, change in (
-            ('quaternion_order', w_last), ('conjugated', conjugated), ('inverted', inverted)):
-        for body, wrong in WRONG.items():
-            if not (is_opposite and body == 'both' and code != 'quaternion_order'):
-                yield Remark(code, body=body), changed(bodies, wrong, change)
-    if is_opposite:
-        return
-    tool, package = bodies
-    for axes in AXIS_ROTATIONS:
-        angle = float(np.linalg.norm(lie.log_so3(axes)))
-        yield Remark('rotation_frame', {'angle': angle}, 'both'), (
-            replace(tool, rotation=axes @ tool.rotation),
-            replace(package, rotation=axes @ package.rotation))
-    for signs in 1.0 - 2.0 * np.eye(3):
-        yield Remark('left_handed', body='both'), (
-            replace(tool, position=signs * tool.position),
-            replace(package, position=signs * package.position))
-
-
 def best_correction(bodies: Bodies) -> Remark | None:
-    """Return the fault of poses in one frame whose correction makes the motion rigid, or None."""
-    is_opposite = _correlation(bodies) < OPPOSITE
-    before = misfit(bodies)
+    """Return the fault of quaternions whose correction makes the motion rigid, or None."""
+    before, is_opposite = misfit(bodies), _correlation(bodies) < OPPOSITE
     limit = before if is_opposite else min(MAX_MISFIT_RATIO * before, MAX_MISFIT)
     found, least = None, float('inf')
-    for remark, both in corrections(bodies, is_opposite):
-        is_order = remark.code == 'quaternion_order'
+    for body, wrong in WRONG.items():
+        both = changed(bodies, wrong, w_last)
         own = misfit(both)
-        is_less = own < (MAX_MISFIT_RATIO * before if is_order else limit) or (
-            is_order and _is_righted(bodies, both))
-        is_first = found is not None and found.code == 'quaternion_order' and not is_order
-        if is_less and own < (DECISIVE if is_first else SIMPLER) * least:
-            found, least = remark, own
+        is_less = own < MAX_MISFIT_RATIO * before or _is_righted(bodies, both)
+        if is_less and own < SIMPLER * least:
+            found, least = Remark('quaternion_order', body=body), own
+    least *= DECISIVE / SIMPLER
+    for body, wrong in WRONG.items():
+        own = misfit(changed(bodies, wrong, conjugated))
+        if own < limit and own < SIMPLER * least and not (is_opposite and body == 'both'):
+            found, least = Remark('conjugated', body=body), own
     return found
 
 

@@ -45,13 +45,12 @@ OF_POSES = (
     Check(pose_faults.frozen_orientations, REPLAY),
     Check(pose_faults.swapped_bodies, REPLAY),
     Check(pose_faults.fixed_packages, REPLAY),
-    Check(pose_faults.wrong_frames, REPLAY, level=1),
-    Check(pose_faults.wrong_conventions, REPLAY, level=2),
-    Check(pose_faults.exchanged_topics, REPLAY, level=3),
-    Check(pose_faults.tool_z, REPLAY, level=4),
-    Check(pose_faults.resting_tools, FIT, level=4),
-    Check(pose_faults.wrong_twists, FIT, level=4),
-    Check(pose_faults.impossible_packages, FIT, level=4))
+    Check(pose_faults.wrong_conventions, REPLAY, level=1),
+    Check(pose_faults.exchanged_topics, REPLAY, level=2),
+    Check(pose_faults.tool_z, REPLAY, level=3),
+    Check(pose_faults.resting_tools, FIT, level=3),
+    Check(pose_faults.wrong_twists, FIT, level=3),
+    Check(pose_faults.impossible_packages, FIT, level=3))
 """Checks of recorded poses and of the given package."""
 
 OF_RECORDING = (

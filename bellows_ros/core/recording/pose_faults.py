@@ -104,29 +104,11 @@ MIN_SAMPLES = 20
 MAX_SAMPLES = 10_000
 """Largest number of differences for an estimate of noise, which is then accurate to 1 %."""
 
-DISSIMILAR = 0.5
-"""Largest ratio of the misfits of two kinds of candidates that decides between them."""
-
-MIN_RIGID_SIMILARITY = 0.8
-"""Smallest similarity of the rotations of two bodies on one cup."""
-
 MIN_SIMILARITY = 0.95
 """Smallest similarity of rotations in two worlds with a corrected convention."""
 
 MAX_DIFFERENCE_RATIO = 0.25
 """Largest ratio of the dissimilarities of two rotations after and before a correction."""
-
-MIN_FRAME_ANGLE = np.deg2rad(30.0)
-"""Smallest rotation between two frames that a misplaced camera or marker cannot explain, rad."""
-
-MAX_RESIDUAL_RATIO = 0.3
-"""Largest ratio of the residuals of rigid motion with other axes."""
-
-MAX_RESIDUAL = 0.02
-"""Largest residual of rigid motion with other axes, m: the swing of a package in the tool."""
-
-MIN_SPREAD_RATIO = 0.05
-"""Smallest ratio of the third to the first extent of a path that determines its handedness."""
 
 MAX_UP = -0.5
 """Largest vertical component of the tool's z axis (median) that points out of the arm: 120 degrees
@@ -314,7 +296,7 @@ def _relative_motion(poses: RecordedPoses, bodies: Bodies) -> Trajectory | None:
             R = alignment.rotation_of(*(body.rotation for body in bodies))
         except BellowsError:  # the tool hardly rotates
             return None
-        eye = replace(eye, position=lie.apply(R, eye.position) + _rigid_motion(*bodies, R)[0][3:],
+        eye = replace(eye, position=lie.apply(R, eye.position) + _rigid_offset(*bodies, R),
                       rotation=R @ eye.rotation)
     return _seen_from(hand, eye)
 
@@ -367,7 +349,7 @@ def wrong_conventions(poses: RecordedPoses) -> Iterator[Remark]:
         return
     plain, inverse = _similarities(poses.bodies)
     if inverse > MIN_SIMILARITY and 1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain):
-        yield Remark('inverse_rotation', body=_worse_body(poses.bodies))
+        yield Remark('inverse_rotation')
 
 
 def _similarities(bodies: Bodies) -> tuple[float, float]:
@@ -378,83 +360,12 @@ def _similarities(bodies: Bodies) -> tuple[float, float]:
     return conventions.similarity(a, b), conventions.similarity(a, inverse)
 
 
-def _worse_body(bodies: Bodies) -> str:
-    """Return the body whose inverse rotations make the motion rigid, '' if undecided."""
-    tool, package = bodies
-    residuals = []
-    for each in ((conventions.conjugated(tool), package), (tool, conventions.conjugated(package))):
-        R = alignment.rotation_of(*(body.rotation for body in each))
-        residuals.append(_best_axes(*each, R, 1.0)[0])
-    of_tool, of_package = residuals
-    return 'tool' if of_tool < 0.5 * of_package else (
-        'package' if of_package < 0.5 * of_tool else '')
-
-
-def _rigid_motion(tool: Trajectory, package: Trajectory, X: Array) -> tuple[Array, float]:
-    """Return c and t (6,) with o + R c nearest to X p + t, and the RMS residual, m."""
+def _rigid_offset(tool: Trajectory, package: Trajectory, X: Array) -> Array:
+    """Return t (3,), m, of the c and t with o + R c nearest to X p + t."""
     A = np.concatenate(
         [tool.rotation, -np.tile(np.eye(3), (len(tool), 1, 1))], axis=2).reshape(-1, 6)
     b = (lie.apply(X, package.position) - tool.position).ravel()
-    constants = np.linalg.lstsq(A, b, rcond=1e-6)[0]
-    return constants, float(np.sqrt(3.0 * np.mean((b - A @ constants)**2)))
-
-
-def wrong_frames(poses: RecordedPoses) -> Iterator[Remark]:
-    """Yield positions in a left-handed frame, or in another frame than the rotations."""
-    if poses.bodies is None:
-        return
-    bodies = poses.bodies
-    try:
-        A = alignment.rotation_of(*(body.rotation for body in bodies))
-    except BellowsError:  # the tool hardly rotates
-        return
-    plain, inverse = _similarities(bodies)
-    if plain < MIN_RIGID_SIMILARITY or 1.0 - plain > DISSIMILAR * (1.0 - inverse):
-        return
-    extents = np.linalg.svd(bodies[1].position - bodies[1].position.mean(axis=0))[1]
-    if not extents[0] > MIN_SHIFT or extents[2] < MIN_SPREAD_RATIO * extents[0]:
-        return
-    before = _rigid_motion(*bodies, A)[1]
-    (proper, turned), (mirrored, _) = (
-        _best_axes(*bodies, A, handed) for handed in (1.0, -1.0))
-    if mirrored < min(MAX_RESIDUAL_RATIO * min(before, proper), MAX_RESIDUAL):
-        yield Remark('left_handed')
-    elif proper < min(MAX_RESIDUAL_RATIO * before, MAX_RESIDUAL):
-        angle = float(np.linalg.norm(lie.log_so3(turned @ A.T)))
-        of_rotations, of_positions = (_rotation_residual(bodies, X) for X in (A, turned))
-        if angle > MIN_FRAME_ANGLE and of_rotations < MAX_RESIDUAL_RATIO * of_positions:
-            yield Remark('rotation_frame', {'angle': angle},
-                         _wrongly_turned(*bodies, A) if poses.one_frame else '')
-
-
-def _rotation_residual(bodies: Bodies, X: Array) -> float:
-    """Return the RMS difference (rad) of both rotations if X maps the package's axes."""
-    a, b = (lie.log_so3(body.rotation @ body.rotation[len(body) // 2].T) for body in bodies)
-    return float(np.sqrt(np.mean(np.sum((a - lie.apply(X, b))**2, axis=1))))
-
-
-def _best_axes(
-    tool: Trajectory, package: Trajectory, A: Array, handed: float
-) -> tuple[float, Array]:
-    """Return the least residual (m) of rigid motion, and the orthogonal X of a handedness."""
-    p = package.position - package.position.mean(axis=0)
-    c, X = np.zeros(3), A
-    for _ in range(8):
-        o = tool.position + lie.apply(tool.rotation, c)
-        U, _, V = np.linalg.svd((o - o.mean(axis=0)).T @ p)
-        X = U @ np.diag([1.0, 1.0, handed * np.sign(np.linalg.det(U @ V))]) @ V
-        rest, turns = lie.apply(X, p) - tool.position, tool.rotation - tool.rotation.mean(axis=0)
-        c = np.linalg.lstsq(turns.reshape(-1, 3), (rest - rest.mean(axis=0)).ravel(),
-                            rcond=1e-6)[0]
-    return _rigid_motion(tool, package, X)[1], X
-
-
-def _wrongly_turned(tool: Trajectory, package: Trajectory, A: Array) -> str:
-    """Return the body whose rotations are in another frame, by the better correction."""
-    of_tool, of_package = map(conventions.misfit, (
-        (replace(tool, rotation=A.T @ tool.rotation), package),
-        (tool, replace(package, rotation=A @ package.rotation))))
-    return 'tool' if of_tool < of_package else 'package'
+    return np.asarray(np.linalg.lstsq(A, b, rcond=1e-6)[0][3:])
 
 
 def exchanged_topics(poses: RecordedPoses) -> Iterator[Remark]:

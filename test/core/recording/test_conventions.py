@@ -61,8 +61,7 @@ def streams(tool, package):
 @pytest.mark.parametrize(('tool', 'package'), [
     (ALL[0], ALL[0]), (ALL[1], ALL[2]), (ALL[2], ALL[0]), (ALL[3], ALL[3])])
 def test_each_stream_has_its_own(tool, package):
-    both = streams(tool, package)
-    assert faults(*both) == expected(tool, package)
+    assert faults(*streams(tool, package)) == expected(tool, package)
 
 
 @pytest.mark.parametrize(('tool', 'package'), [
