@@ -7,20 +7,16 @@ a traceback and end with 2.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 import importlib.util
 from itertools import pairwise, takewhile
-import json
 import os
 from pathlib import Path
 from pkgutil import resolve_name
 import signal
 import sys
-import tempfile
 import textwrap
 import tomllib
 import traceback
-from types import FrameType
 from typing import Any, NoReturn
 
 from bellows_ros.core import configure_process
@@ -129,13 +125,22 @@ def _file_errors(name: str, arguments: Sequence[str]) -> Iterator[BellowsError]:
     """Yield the errors in parameter files for this node, with file and line, which ROS omits."""
     from ..files.parameter_files import read_parameters
 
-    is_renamed = '__node' in str(arguments)
+    is_renamed = any('__node:=' in argument for argument in arguments)
     for flag, file in pairwise(arguments):
         if flag == '--params-file' and Path(file).is_file() and not is_renamed:
             try:
                 read_parameters(file, name)
             except BellowsError as error:
                 yield error
+
+
+def require_ros() -> None:
+    """Raise BellowsError if ROS is missing, before any work."""
+    if importlib.util.find_spec('rclpy') is None:
+        raise BellowsError(
+            "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, "
+            'for instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: '
+            f'{install("ros")}')
 
 
 def _run_node(argv: Sequence[str], node: str) -> None:
@@ -149,7 +154,7 @@ def _run_node(argv: Sequence[str], node: str) -> None:
     received: list[int] = []
     created: list[Any] = []
 
-    def record(number: int, frame: FrameType | None) -> None:
+    def record(number: int, frame: object) -> None:
         received.append(number)
         if not created:
             _exit_at_once()
@@ -174,22 +179,6 @@ def _run_node(argv: Sequence[str], node: str) -> None:
             signal.signal(number, handler)
 
 
-def _exit_at_once() -> NoReturn:
-    """End the process without its interpreter, which waits for a compiler in a thread."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(0)
-
-
-def require_ros() -> None:
-    """Raise BellowsError if ROS is missing, before any work."""
-    if importlib.util.find_spec('rclpy') is None:
-        raise BellowsError(
-            "ROS 2 is not installed here (this Python has no 'rclpy'). Source an installation, "
-            'for instance `source /opt/ros/jazzy/setup.bash`, or install the wheels: '
-            f'{install("ros")}')
-
-
 def _initialise(argv: Sequence[str]) -> None:
     """Start ROS; raise BellowsError for faulty arguments."""
     import rclpy
@@ -199,10 +188,7 @@ def _initialise(argv: Sequence[str]) -> None:
         if flag == '--params-file' and not Path(file).is_file():
             raise BellowsError(f"Parameter file '{file}' does not exist.")
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            rclpy.init(args=[_in_doubles(before, each, Path(folder))
-                             for before, each in pairwise(('', *argv))],
-                       signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # base class of all errors of rcl
         why = str(error).partition(', at /')[0].rstrip('.').removeprefix(
             'failed to initialize rcl: ')
@@ -210,32 +196,11 @@ def _initialise(argv: Sequence[str]) -> None:
             f'ROS cannot start with these arguments: {shown(why, 400)}.') from None
 
 
-def _in_doubles(option: str, argument: str, folder: Path) -> str:
-    """Return an argument for ROS; mixed lists of integers and doubles become lists of doubles."""
-    from ..files.safe_yaml import load
-
-    name, _, value = argument.partition(':=')
-    is_list = option in ('-p', '--param') and value.startswith('[')
-    if not (is_list or option == '--params-file'):
-        return argument
-    copy = folder / f'{len(os.listdir(folder))}.yaml'
-    with suppress(BellowsError):  # of a fault that ROS names
-        if is_list:
-            copy.write_text(f'value: {value}')
-        content = load(copy if is_list else Path(argument))
-        if _make_doubles(content):
-            copy.write_text(json.dumps(content))
-            return f'{name}:={json.dumps(content["value"])}' if is_list else str(copy)
-    return argument
-
-
-def _make_doubles(content: Any) -> bool:
-    """Convert lists of integers and doubles to doubles; return whether there are any."""
-    if isinstance(content, list) and set(map(type, content)) == {int, float}:
-        content[:] = map(float, content)
-        return True
-    inner = content.values() if isinstance(content, dict) else ()
-    return sum(map(_make_doubles, inner)) > 0
+def _exit_at_once() -> NoReturn:
+    """End the process without its interpreter, which waits for a compiler in a thread."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def predictor() -> int:

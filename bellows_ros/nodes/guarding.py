@@ -1,5 +1,5 @@
 """
-A node and a worker thread that survive exceptions in callbacks: logged once, then counted.
+A node whose callbacks and work aside may fail: logged once, then counted; it lives on.
 
 Each message wakes the node; the garbage is collected between messages. The usual executor of rclpy
 rebuilds its list of entities after each callback, which takes longer than the callback; an
@@ -7,17 +7,16 @@ executor that is woken by events does not.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import partial, wraps
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from functools import wraps
 import gc
 from pathlib import Path
-from threading import Condition, Thread, Timer
 import time
 import traceback
 from typing import Any
 
-import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -25,11 +24,8 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 
-from ..core.geometry.arrays import Mask
 from ..errors import shown
 from ..report import health
-
-PACKAGE = Path(__file__).parents[1]
 
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
@@ -37,12 +33,11 @@ OVERRIDABLE = (
 """QoS that parameters can override; durability is among them for vacuum switches with rare
 messages."""
 
-
-COMPILE_TIME = 1.0
-"""Shortest time of work that compiles, s."""
-
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """QoS with which late subscribers get the newest message."""
+
+THREADS = 2
+"""Threads of work aside: one may compile for a minute while the other answers."""
 
 
 class GuardedNode(Node):
@@ -53,23 +48,19 @@ class GuardedNode(Node):
     ----------
     failures : collections.Counter
         Number of failures by place in the code.
-    workers : list of Worker
-        Threads of the node.
 
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Create the node; rclpy creates its first subscriptions here."""
         self.failures: Counter[str] = Counter()
-        self.workers: list[Worker] = []
         self._without_frame: set[str] = set()
+        self._aside = ThreadPoolExecutor(THREADS, 'aside')
         super().__init__(*arguments, **options)
 
     def note_failure(self, error: Exception, place: str = '') -> None:
         """Count an exception by its place, by default its line of code; log the first one."""
-        frames = traceback.extract_tb(error.__traceback__)
-        ours = [frame for frame in frames if PACKAGE in Path(frame.filename).parents]
-        innermost = (ours[1:] or frames)[-1]  # the first of ours is the guard itself
+        innermost = traceback.extract_tb(error.__traceback__)[-1]
         place = place or f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
         if self.failures[place] > 1:
@@ -88,7 +79,8 @@ class GuardedNode(Node):
             self.get_logger().warning(health.say('inputs.no_frame', topic=topic, meaning=meaning))
 
     def guarded(
-        self, callback: Callable[..., Any], otherwise: Callable[[], Any] = lambda: None
+        self, callback: Callable[..., Any],
+        otherwise: Callable[[Exception], Any] = lambda error: None,
     ) -> Callable[..., Any]:
         """Return a callback that records its exceptions and then returns a substitute."""
         @wraps(callback)
@@ -97,23 +89,18 @@ class GuardedNode(Node):
                 return callback(*arguments)
             except Exception as error:  # noqa: BLE001 (nothing may end the node)
                 self.note_failure(error)
-                return otherwise()
+                return otherwise(error)
 
         return call
 
-    @contextmanager
-    def noticed(self, text: str) -> Iterator[None]:
-        """Log a text if the work takes so long that something was compiled."""
-        notice = Timer(COMPILE_TIME, self.get_logger().info, (text,))
-        notice.start()
-        try:
-            yield
-        finally:
-            notice.cancel()
+    def aside(self, work: Callable[..., None], *arguments: Any) -> Future[None]:
+        """Do some work in a thread, during the live prediction."""
+        return self._aside.submit(self.guarded(work), *arguments)
 
-    def in_background(self, work: Callable[[], None]) -> None:
-        """Run long work, such as compilation, in a thread that ends with the process."""
-        Thread(target=self.guarded(work), daemon=True).start()
+    def forget_work(self) -> None:
+        """Drop the work aside that has not begun."""
+        self._aside.shutdown(wait=False, cancel_futures=True)
+        self._aside = ThreadPoolExecutor(THREADS, 'aside')
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any,
@@ -136,90 +123,21 @@ class GuardedNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
     ) -> Any:
-        """Serve with a callback that may fail; it then answers with an empty response."""
-        callback = self.guarded(callback, srv_type.Response)
-        return super().create_service(srv_type, srv_name, callback, **options)
+        """Serve with a callback that may fail; the answer then has the error, if it has texts."""
+        def failed(error: Exception) -> Any:
+            response = srv_type.Response()
+            if hasattr(response, 'message'):
+                response.message = shown(str(error))
+            return response
+
+        return super().create_service(
+            srv_type, srv_name, self.guarded(callback, failed), **options)
 
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], Any], *more: Any, **options: Any
     ) -> Any:
         """Start a timer with a callback that may fail."""
         return super().create_timer(timer_period_sec, self.guarded(callback), *more, **options)
-
-
-class Worker:
-    """
-    A thread that processes requests one after the other, during the live prediction.
-
-    Parameters
-    ----------
-    node : GuardedNode
-        Node that records failures, and closes its workers.
-    name : str
-        Name of the thread.
-
-    Attributes
-    ----------
-    stop : array (1,) of bool
-        Flag for the running work, true once its result is obsolete.
-
-    """
-
-    def __init__(self, node: GuardedNode, name: str) -> None:
-        """Start the thread, which does not prevent the process from ending."""
-        self._guarded = node.guarded
-        self._pending: dict[object, Callable[[], None]] = {}
-        self._running: object = None
-        self._is_closed = False
-        self._changed = Condition()
-        self.stop: Mask = np.zeros(1, np.bool_)
-        node.workers.append(self)
-        Thread(target=self._work, name=name, daemon=True).start()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether a request is in progress or waiting."""
-        return bool(self._pending) or self._running is not None
-
-    def pending(self, kind: type) -> int:
-        """Return the number of waiting requests of a kind."""
-        return sum(isinstance(each, kind) for each in list(self._pending))
-
-    def submit(self, kind: object, work: Callable[..., None], *arguments: Any) -> None:
-        """Process a request, which replaces a waiting or running request of its kind."""
-        with self._changed:
-            if self._running == kind:
-                self.stop[0] = True
-            self._pending[kind] = self._guarded(partial(work, *arguments))
-            self._changed.notify_all()
-
-    def cancel(self) -> None:
-        """Drop the waiting requests, and stop the current one."""
-        with self._changed:
-            self._pending.clear()
-            self.stop[0] = True
-            self._changed.notify_all()
-            # a compiler cannot be stopped
-            self._changed.wait_for(lambda: self._running is None, timeout=0.25)
-
-    def close(self) -> None:
-        """End the thread."""
-        self._is_closed = True
-        self.cancel()
-
-    def _work(self) -> None:
-        """Process requests in the order of their kinds' first requests."""
-        while True:
-            with self._changed:
-                self._running = None
-                self._changed.notify_all()
-                self._changed.wait_for(lambda: self._pending or self._is_closed)
-                if self._is_closed:
-                    return
-                self._running = next(iter(self._pending))
-                work = self._pending.pop(self._running)
-                self.stop = np.zeros(1, np.bool_)
-            work()
 
 
 MAX_SPIN_WAIT = 0.1
@@ -229,7 +147,7 @@ COLLECTION_PERIOD = 1.0
 """Period of the garbage collector, s."""
 
 
-def executor_for(node: Any) -> Any:
+def executor_for(node: GuardedNode) -> Any:
     """
     Return an executor for a node, woken by events if possible.
 
@@ -264,9 +182,8 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-        Node with a future `finished`, whose exception is raised here, and methods `close` and
-        `note_failure`.
+    node : GuardedNode
+        Node with a future `finished`, whose exception is raised here, and a method `close`.
     is_asked_to_stop : callable
         Function that is called every `MAX_SPIN_WAIT`.
 

@@ -1,15 +1,13 @@
 """Declare the parameters of a node from the table, and change them live, all or nothing."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces import msg as interfaces
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.exceptions import ParameterException, ParameterNotDeclaredException
+from rclpy.exceptions import ParameterException
 from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.parameter import Parameter
-from rclpy.parameter_service import ParameterService
 
 from .guarding import GuardedNode
 from ..core.parameters import checks, table
@@ -61,7 +59,7 @@ class TableNode(GuardedNode):
 
     Attributes
     ----------
-    values : dict
+    values : Values
         All values in the form of core; a change replaces the whole mapping.
     doubts : tuple of str
         Questions about unlikely values.
@@ -80,7 +78,7 @@ class TableNode(GuardedNode):
         self, user: str, read_only: bool = False, results: Collection[str] = (), **options: Any
     ) -> None:
         try:
-            super().__init__(user, start_parameter_services=False, **options)
+            super().__init__(user, **options)
         except (RuntimeError, ParameterException) as error:  # bases of errors of rcl and rclpy
             why = ' '.join(str(error).partition(', at /')[0].split())
             raise BellowsError(
@@ -102,30 +100,15 @@ class TableNode(GuardedNode):
         except BellowsError:
             self.destroy_node()
             raise
-        self._parameter_service = AtomicParameterService(self)
+        self.add_on_set_parameters_callback(self._validate)
+        self.add_post_set_parameters_callback(self.guarded(self._apply))
 
     def check_values(self, values: Values) -> tuple[str, ...]:
         """Return doubts about values; raise BellowsError if valid values contradict each other."""
         return ()
 
     def on_values(self, before: Mapping[str, object]) -> None:
-        """Apply new `values`; called with the previous values of the parameters that were set."""
-
-    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """
-        Set all parameters in one step or, if this fails, related ones together and others singly.
-
-        Setting a parameter to its current value succeeds without effect, so that the output of
-        `ros2 param dump` can be loaded.
-        """
-        result = self.set_parameters_atomically(parameter_list)
-        if result.successful:
-            return [result] * len(parameter_list)
-        together = [p for p in parameter_list if p.name.startswith(
-            ('cup.', 'cups.', 'package.', 'envelope.', 'vacuum.'))]
-        common = self.set_parameters_atomically(together)
-        return [common if p in together else self.set_parameters_atomically([p])
-                for p in parameter_list]
+        """Apply new `values`; called with the previous values of the changed parameters."""
 
     def declare_from_table(self, name: str, value: table.Value) -> None:
         """Declare a parameter of the table with a checked value."""
@@ -134,38 +117,35 @@ class TableNode(GuardedNode):
             name, typed.type_ if value == () else typed.value,  # an empty list has no type
             descriptor(table.lookup(name), self._read_only), ignore_override=True)
 
-    def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Set all parameters or none, and return the reason."""
-        now = {p.name: self.get_parameter_or(p.name, Parameter(p.name)) for p in parameters}
-        changing, previous = list[Parameter](), self.values
+    def _changed(self, parameters: Sequence[Parameter]) -> dict[str, table.Value]:
+        """Return the parameters of the table with new values; raise BellowsError for bad ones."""
+        ours = (each for each in parameters if each.name in self.values)
+        checked = {each.name: checks.validate(each.name, each.value) for each in ours}
+        return {name: value for name, value in checked.items() if value != self.values[name]}
+
+    def _validate(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """Return whether parameters can be set together, by the checks of the start."""
         try:
-            changing = [p for p in map(_checked, parameters) if not self.has_parameter(p.name) or (
-                now[p.name].get_parameter_value() != p.get_parameter_value())]
-            if not changing:
-                return SetParametersResult(successful=True)
-            ours = {p.name: checks.validate(p.name, p.value) for p in changing if _is_ours(p)}
-            new = previous.replaced(ours)
-            doubts = self.check_values(new)  # before rclpy, whose messages are shorter
-            result = super().set_parameters_atomically(changing)
-            if result.successful and ours:
-                self.values = new
-                self.on_values({name: previous.get(name) for name in ours})
-                result.reason = ' '.join(set(doubts) - set(self.doubts))
-                self.doubts = doubts
-                if result.reason:
-                    self.get_logger().warning(result.reason)
-            return result
-        except ParameterNotDeclaredException:
-            unknown = [p.name for p in changing if not self.has_parameter(p.name)]
-            return _refused(_why_unknown(unknown[0], self.get_name()))
+            if changed := self._changed(parameters):
+                self.check_values(self.values.replaced(changed))
+        except BellowsError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:  # noqa: BLE001 (whatever it is, nothing is to change)
-            if self.values != previous:
-                self.values = previous
-                super().set_parameters_atomically([now[p.name] for p in changing])
-                self.on_values(ours)
-            if not isinstance(error, BellowsError):
-                self.note_failure(error)
-            return _refused(str(error))
+            self.note_failure(error)
+            return SetParametersResult(successful=False, reason=shown(str(error)))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: Sequence[Parameter]) -> None:
+        """Use parameters that were set together in one step, and log new doubts about them."""
+        if not (changed := self._changed(parameters)):
+            return
+        before = {name: self.values[name] for name in changed}
+        self.values = self.values.replaced(changed)
+        doubts = self.check_values(self.values)
+        for doubt in set(doubts) - set(self.doubts):
+            self.get_logger().warning(doubt)
+        self.doubts = doubts
+        self.on_values(before)
 
 
 class ManagedNode(LifecycleNodeMixin, TableNode):
@@ -180,64 +160,3 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
     """
 
     is_active = False
-
-
-class AtomicParameterService(ParameterService):
-    """
-    The parameter services of a node, with its own `set_parameters`.
-
-    The service of rclpy sets one parameter after the other, and does not answer a request with an
-    unknown type.
-    """
-
-    def _set_parameters_callback(
-        self, request: SetParameters.Request, response: SetParameters.Response
-    ) -> SetParameters.Response:
-        """Set related parameters all or none, the others one by one."""
-        response.results = self._get_node().set_parameters(list(map(_read, request.parameters)))
-        return response
-
-    def _set_parameters_atomically_callback(
-        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
-    ) -> SetParametersAtomically.Response:
-        """Set all parameters or none."""
-        response.result = self._get_node().set_parameters_atomically(
-            list(map(_read, request.parameters)))
-        return response
-
-
-def _read(message: interfaces.Parameter) -> Parameter:
-    """Return a parameter of a request, without value if its type is unknown."""
-    is_known = any(message.value.type == kind.value for kind in Parameter.Type)
-    return Parameter.from_parameter_msg(message) if is_known else Parameter(message.name)
-
-
-def _refused(reason: str) -> SetParametersResult:
-    """Return the answer to a rejected call."""
-    return SetParametersResult(successful=False, reason=reason)
-
-
-def _is_ours(parameter: Parameter) -> bool:
-    """Return whether a parameter is in the table; others belong to ROS."""
-    return parameter.name in table.PARAMETERS or bool(table.NAMED_CUP.fullmatch(parameter.name))
-
-
-def _why_unknown(name: str, node: str) -> str:
-    """Return the message about an unknown parameter."""
-    try:
-        users = table.lookup(name).used_by
-    except BellowsError as error:
-        return str(error)
-    if table.NAMED_CUP.fullmatch(name):
-        return f"'{name}' was not declared when '{node}' started. Set it in a file."
-    return f"The node '{node}' has no parameter '{name}': it belongs to the {users[0]}."
-
-
-def _checked(parameter: Parameter) -> Parameter:
-    """Return a parameter in the form of the table, with the type of its declaration."""
-    if not parameter.name:
-        raise BellowsError(
-            "A parameter without a name cannot be set. 'ros2 param list' shows the names.")
-    return ros_parameter(
-        parameter.name, checks.validate(parameter.name, parameter.value)
-    ) if _is_ours(parameter) else parameter

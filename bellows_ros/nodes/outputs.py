@@ -80,6 +80,14 @@ class Predicting:
         """Compile the landing of a released package, in a thread."""
         raise NotImplementedError
 
+    def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
+        """Publish the predictions of a step, even if other outputs fail."""
+        raise NotImplementedError
+
+    def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the result of a step that may change the package's state; report a change."""
+        raise NotImplementedError
+
 
 class Topic:
     """
@@ -152,7 +160,7 @@ class Topic:
             prepare()
             self.is_ready = True
 
-        self._node.in_background(make_ready)
+        self._node.aside(make_ready)
 
 
 class Outputs:

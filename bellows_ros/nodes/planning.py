@@ -1,6 +1,7 @@
 """Plans of the tool or of joints: the package along them, and the plans without its swing."""
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 import math
@@ -12,15 +13,16 @@ import numpy as np
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from .guarding import LATCHED, Worker
+from .guarding import LATCHED
 from .outputs import Predicting, Topic
 from ..core.findings import Finding, Level
+from ..core.geometry.arrays import Mask
 from ..core.geometry.lie import quaternion_to_rotation
 from ..core.model.grip import safety_finding
 from ..core.model.validity_range import flip_finding
 from ..core.parameters.conversion import parameter_envelope, tip_of
 from ..core.planning.arm import Arm, read_arm
-from ..core.planning.plan_prediction import PlanPrediction, PlanSimulation
+from ..core.planning.plan_prediction import NO_ABORT, PlanPrediction, PlanSimulation
 from ..core.planning.points import joint_excess, Joints, plan_of, plan_of_joints
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, Trajectory
@@ -59,61 +61,72 @@ class Planning:
                 (MultiDOFJointTrajectory, 'package/plan'), (Path, 'package/plan_path'),
                 (MultiDOFJointTrajectory, 'tool_arm/steered'),
                 (JointTrajectory, 'tool_arm/steered_joints')))
-        self._worker, self._urdf, self._is_warm = Worker(node, 'plan'), '', False
+        self._urdf, self._is_warm = '', False
+        self._stop, self._answering = NO_ABORT, Future[None]()
         self._outcome: PlanPrediction | Status | None = None
         sys.setswitchinterval(5e-5)  # s; limits the wait of the live prediction
         read: Read
         for kind, topic, read in ((MultiDOFJointTrajectory, 'tool_arm/plan', self._of_tool),
                                   (JointTrajectory, 'tool_arm/plan_joints', self._of_joints)):
             node.create_subscription(
-                kind, topic, partial(self._worker.submit, 'plan', self._answer, read), 10,
+                kind, topic, partial(self._on_plan, read), 10,
                 on_publishers=self._on_publishers, raw=kind is MultiDOFJointTrajectory)
         node.create_subscription(String, 'robot_description', self._on_description, LATCHED)
 
     def forget(self) -> None:
-        """Forget the plan."""
-        self._outcome = None
+        """Stop the answer, and forget the plan."""
+        self._stop[0], self._outcome = True, None
+        self._answering.cancel()
+        self._stop = np.zeros(1, np.bool_)  # the one before belongs to the work that it stops
+
+    def _on_plan(self, read: Read, message: Any) -> None:
+        """Answer a plan, instead of the one before, in a thread."""
+        self.forget()
+        self._answering = self._pipeline.node.aside(self._answer, read, message, self._stop)
 
     def _on_publishers(self, count: int) -> None:
         """Compile the answers with an example, in the thread, once a publisher appears."""
         if count and not self._is_warm:
             self._is_warm = True
-            self._worker.submit('warm up', self._warm_up)
+            self._pipeline.node.aside(self._warm_up)
 
     def _warm_up(self) -> None:
         """Answer an example, unless the cup cannot hold the package."""
         poses = np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1))
         still = plan_of(np.arange(9) * 50_000_000, poses, np.zeros((9, 6)))
         with suppress(BellowsError):
-            self._predict(still.trajectory(), 0.1)
+            self._predict(still.trajectory(), 0.1, NO_ABORT)
 
     def _on_description(self, message: String) -> None:
         """Store the arm, which is read when a plan needs it."""
         self._urdf = message.data
 
-    def _answer(self, read: Read, message: Any) -> None:
+    def _answer(self, read: Read, message: Any, stop: Mask) -> None:
         """Publish the package along a plan and, for its subscribers, the plan without swing."""
         try:
             plan, tool, joints = read(message)
-            self._outcome = prediction = self._predict(tool, TAIL)
+            prediction = self._predict(tool, TAIL, stop)
+            self._outcome = prediction
             self._publish(plan, tool, prediction)
             if (status := self.status) and status.level > Level.OK:
                 self._pipeline.node.get_logger().warning(f'Plan: {status.message}')
+            if stop[0]:
+                return
             if joints is None and self._steered.subscribed:
                 self._steer_tool(plan, tool)
             elif joints is not None and self._steered_joints.subscribed:
                 self._steer_joints(plan, tool, joints)
         except BellowsError as error:
-            if not self._worker.stop[0]:  # a newer plan is waiting
+            if not stop[0]:  # a newer plan is waiting
                 self._outcome = Status(
                     'plan', Level.WARN, f'The last plan was refused. {error}', {})
                 self._pipeline.node.get_logger().warning(f'A plan was refused. {error}')
 
-    def _predict(self, tool: Trajectory, tail: float) -> PlanPrediction:
+    def _predict(self, tool: Trajectory, tail: float, stop: Mask) -> PlanPrediction:
         """Return the package along a plan, from rest."""
         return PlanSimulation(
             self._pipeline.live.model, self._pipeline.load.grip, tool, tail=tail,
-            stop=self._worker.stop).predict()
+            stop=stop).predict()
 
     def _publish(
         self, plan: PlanMessage | JointPlan, tool: Trajectory, prediction: PlanPrediction
@@ -195,8 +208,6 @@ class Planning:
                 'Split the motion, or use bellows plan --steer.')
         method = self._pipeline.values.steer.method
         found = steer(self._pipeline.live.model, plan, method)
-        if self._worker.stop[0]:
-            raise BellowsError('The steering was stopped before its end.')
         if found.method != method:
             self._pipeline.node.get_logger().warning(
                 f'A motion is steered by {found.method} instead of {method}, and leaves a swing '

@@ -1,6 +1,7 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 import gc
 import time
 from typing import Any
@@ -72,8 +73,7 @@ class PredictorNode(ManagedNode):
         LifecycleNodeMixin.__init__(self)
         # rclpy's callback raises for an invalid transition, without an answer.
         service = next(each for each in self.services if each.srv_type is ChangeState)
-        self._change_state_unchecked = self.guarded(service.callback, ChangeState.Response)
-        service.callback = self._change_state
+        service.callback = partial(self._change_state, service.callback)
         self.finished: Future = Future()
         self._before: set[Any] | None = None  # entities of the unconfigured node
         self._failure, self.is_active = '', False
@@ -116,8 +116,7 @@ class PredictorNode(ManagedNode):
         gc.collect()
         gc.freeze()
         self.create_service(Trigger, '~/reset', self._on_reset)
-        with self.noticed('Compiling the model: the first start on a machine takes 5 to 10 s.'):
-            self.pipeline = Pipeline(self)
+        self.pipeline = Pipeline(self)
         self._log_model(self.pipeline)
         for name in self._parameter_overrides:
             if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
@@ -157,14 +156,13 @@ class PredictorNode(ManagedNode):
     def release_resources(self) -> None:
         """Log the final counts, end the threads, and destroy the configured parts."""
         if self.pipeline:
+            self.pipeline.planning.forget()
             self.get_logger().info(health.summary(self.pipeline.live))
             if self.pipeline.compiler:
                 self.pipeline.compiler.terminate()
                 self.pipeline.compiler.wait()
         self.pipeline, self.is_active = None, False
-        for worker in self.workers:
-            worker.close()
-        self.workers.clear()
+        self.forget_work()
         if self._before is None:
             return
         made: tuple[tuple[Iterable[Any], Callable[[Any], object]], ...] = (
@@ -182,19 +180,21 @@ class PredictorNode(ManagedNode):
         self.destroy_node()
 
     def _change_state(
-        self, request: ChangeState.Request, response: ChangeState.Response
+        self, change: Callable[..., Any], request: ChangeState.Request,
+        response: ChangeState.Response,
     ) -> ChangeState.Response:
         """Go through an allowed transition; reject any other."""
-        wanted = request.transition
-        allowed = self._state_machine.available_transitions
-        if any(wanted.label == label if wanted.label else wanted.id == number
-               for number, label, *_ in allowed):
-            return self._change_state_unchecked(request, response)
-        name = shown(wanted.label) or wanted.id
-        self.get_logger().warning(
-            f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
-            f'{", ".join(f"{label} ({number})" for number, label, *_ in allowed) or "none"}.')
-        response.success = False
+        try:
+            change(request, response)
+        except RuntimeError:  # of rcl
+            allowed = ', '.join(
+                f'{label} ({number})'
+                for number, label, *_ in self._state_machine.available_transitions)
+            name = shown(request.transition.label) or request.transition.id
+            self.get_logger().warning(
+                f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
+                f'{allowed or "none"}.')
+            response.success = False
         return response
 
     def destroy_node(self) -> None:

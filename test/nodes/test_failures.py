@@ -103,12 +103,11 @@ def test_every_pair_of_severities_is_reported_and_logged(
 
 @pytest.mark.parametrize(('part', 'name'), [
     ('diagnostics', 'report'), ('pipeline.load', 'watch_force'),
-    ('pipeline.outputs', 'publish_more'), ('pipeline.outputs', 'publish_state'),
-    ('pipeline.planning', 'follow'), ('pipeline.tossing', 'publish')])
+    ('pipeline.outputs', 'publish_more'), ('pipeline.outputs', 'publish_state')])
 def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
         part, name, make_partner, listener):
     """Publish the pose of each sample, in the motion that it has."""
-    partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
+    partner = make_partner(with_twists=False)
     predictor = partner.predictor
     break_always(attrgetter(part)(predictor), name)
     alone = LivePredictor(cup_of(predictor.values), package_of(predictor.values), 9.81)
@@ -136,14 +135,13 @@ def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, partner, capf
     assert f'A callback failed at {topic.name}' in capfd.readouterr().err
 
 
-def test_what_fails_beside_the_prediction_in_a_thread_does_not_touch_it(partner):
+def test_a_fault_of_work_aside_does_not_touch_the_prediction(partner):
     """Count it, and go on with the motion and with the next work."""
     predictor, done = partner.predictor, []
     partner.predict(START)
-    worker = predictor.pipeline.planning.plans.worker
-    worker.submit('bad', lambda: [][0])
-    worker.submit('good', done.append, True)
-    partner.wait(lambda: done)
+    predictor.aside(lambda: [][0])
+    predictor.aside(done.append, True)
+    partner.wait(lambda: done and predictor.failures)
     assert sum(predictor.failures.values()) == 1
     pipeline = predictor.pipeline
     assert pipeline.latest is not None and not pipeline.live.restarts['failure']

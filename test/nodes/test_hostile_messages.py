@@ -97,7 +97,8 @@ def graph(make_partner, plan_kernels, observer_kernels):
 
 def is_idle(node):
     """Tell whether a predictor has taken what was sent."""
-    return not any(worker.is_busy for worker in node.workers)
+    answering = node.pipeline.planning._answering
+    return answering.done() or not answering.running()
 
 
 @pytest.mark.stress
@@ -108,7 +109,7 @@ def test_no_text_of_a_message_reaches_log_diagnostics_or_outputs(graph, capfd):
     node.diagnostics.report()
     assert len(inputs) >= 10, inputs
     planning = node.pipeline.planning
-    partner.wait(lambda: planning.plans.is_warm and planning.steering.is_warm and is_idle(node))
+    partner.wait(lambda: planning._is_warm and is_idle(node))
     for stamp, text in enumerate(TEXTS):
         for kind, writer in inputs.values():
             for message in with_text(sound(kind), text):
@@ -138,7 +139,7 @@ def test_messages_without_a_frame_are_reported_once(graph, capfd):
             writer.publish(sound(kind))
         partner.send_pose(START + (k + 1) * MS, frame_id='')
         partner.wait(lambda: len(partner.poses) > k)  # noqa: B023
-    topics, log = ('tool_arm/pose', 'tool_arm/twist', 'vacuum/pressure', 'of plans'), []
+    topics, log = ('tool_arm/pose', 'tool_arm/twist', 'vacuum/pressure', 'tool_arm/plan'), []
 
     def all_told():
         log.append(capfd.readouterr().err)

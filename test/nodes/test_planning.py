@@ -92,7 +92,7 @@ class Planner:
 
     def is_idle(self):
         """Tell whether nothing is being answered."""
-        return not any(worker.is_busy for worker in self.partner.predictor.workers)
+        return self.planning._answering.done() or not self.planning._answering.running()
 
     def status(self):
         """Return the diagnostics of the plan, once there are some."""
