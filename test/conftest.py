@@ -20,7 +20,7 @@ import time
 from typing import Any
 
 from bellows_ros.core import configure_process
-from bellows_ros.demo import isolate
+from bellows_ros.nodes.domain import isolate
 import hypothesis
 import pytest
 

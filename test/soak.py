@@ -23,7 +23,7 @@ import sys
 import tempfile
 import time
 
-from bellows_ros.demo import isolate
+from bellows_ros.nodes.domain import isolate
 from benchmarks.live import NODES, process
 from benchmarks.probe import Probe, QUEUE, used
 from geometry_msgs.msg import PoseStamped, Transform, TwistStamped

@@ -4,13 +4,13 @@ import os
 import subprocess
 import sys
 
-from bellows_ros import demo
 from bellows_ros.errors import BellowsError
+from bellows_ros.nodes import domain
 import pytest
 
 SEEKER = """
 import sys
-from bellows_ros.demo import unused_domain
+from bellows_ros.nodes.domain import unused_domain
 print(unused_domain(), flush=True)
 sys.stdin.read()
 """
@@ -26,14 +26,14 @@ def test_seekers_at_the_same_time_find_different_domains():
     for seeker in seekers:
         seeker.communicate()
     assert len(set(found)) == 8
-    assert all(1 <= number <= demo.DOMAINS for number in found)
+    assert all(1 <= number <= domain.DOMAINS for number in found)
 
 
 def test_the_search_ends_where_all_are_taken(monkeypatch):
     """Say so instead of sharing one."""
-    monkeypatch.setattr(demo, '_bound', lambda family, address: None)
+    monkeypatch.setattr(domain, '_bind', lambda port: None)
     with pytest.raises(BellowsError):
-        demo.unused_domain()
+        domain.unused_domain()
 
 
 def test_what_reaches_other_machines_is_dropped(monkeypatch):
@@ -41,7 +41,7 @@ def test_what_reaches_other_machines_is_dropped(monkeypatch):
     for name in ('ROS_DOMAIN_ID', 'ROS_LOG_DIR', 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
         monkeypatch.setenv(name, os.environ[name])  # put back afterwards
     monkeypatch.setenv('ROS_STATIC_PEERS', '192.0.2.1')
-    demo.isolate('logs')
+    domain.isolate('logs')
     assert 'ROS_STATIC_PEERS' not in os.environ
     assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
     assert os.environ['ROS_LOG_DIR'] == 'logs'
