@@ -1,21 +1,13 @@
 """Identification from recordings of known cups: results, freed quantities, and shared work."""
 
-from collections import Counter
 from dataclasses import replace
-import functools
-import hashlib
-import importlib
 import json
-import pickle
-import pkgutil
 import re
-import sys
 
-import bellows_ros
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.errors import BellowsError, UnexplainedError
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.messages import BOOL, encode_bool
@@ -24,7 +16,7 @@ from bellows_ros.files.results import format_json, read_result
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.holds import masks_held
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
-from bellows_ros.workflows.identify import identify, resolved
+from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.recordings import load
 from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
@@ -33,7 +25,6 @@ from numpy.testing import assert_allclose
 import pytest
 from ruamel.yaml import YAML
 
-from .two_clocks import rewritten
 from ..files.recordings import POSE, TWIST
 
 CLEAN = {
@@ -83,37 +74,6 @@ def test_motion_capture_recording_of_the_rig(rig):
     assert found.moves.tolist() == [True, True, False, True, True, True]
     assert np.all(found.scores.nrmse[found.moves] < 0.05)
     assert np.all(found.model_error[found.moves] < 0.02)
-
-
-@pytest.mark.stress
-@pytest.mark.parametrize('name', ['lab', 'lab_validation'])
-def test_all_entries_of_a_full_fit_are_within_three_standard_errors(rig, name):
-    fit = identify({**LAB, 'bags': [str(rig / name)], 'fit.method': 'output_error',
-                    'fit.structure': 'full'}).fit
-    truth = np.load(rig / f'{name}_truth.npz')
-    for own in (fit, fit.exactly_given):
-        for found, std, true in ((own.stiffness, own.stiffness_std, truth['K']),
-                                 (own.damping, own.damping_std, truth['P'])):
-            assert np.all(np.abs(found - true) < 3.0 * std)
-
-
-def test_clocks_far_apart_come_before_what_they_make_of_a_fit(root, tmp_path, monkeypatch):
-    """Name them where a slow camera leaves too little motion in common."""
-    def slow_and_late(role, stream):
-        if role == 'tool_pose':
-            return stream
-        return replace(stream, stamps_ns=stream.stamps_ns[::12] + 5_000_000_000,
-                       position=stream.position[::12], rotation=stream.rotation[::12])
-
-    def failing(*arguments):
-        raise BellowsError('too little motion')
-
-    bag = rewritten((root / 'bags/identification',), tmp_path / 'bag', slow_and_late)
-    monkeypatch.setattr('bellows_ros.workflows.identify.methods.fit', failing)
-    values = read_parameters(root / 'bags/package.yaml')
-    with pytest.raises(BellowsError, match=r'4\.9\d s.*fit.time_offset') as raised:
-        identify({**values, 'bags': [bag], 'topics.tool_twist': ''})
-    assert 'too little motion' not in str(raised.value)
 
 
 def test_clean_recording_of_the_rig(rig):
@@ -217,16 +177,6 @@ def test_a_validation_comes_with_the_fit(shipped, root):
     assert 'bending about x is -13.' in result.warnings[-1]  # twice what the fit has seen
 
 
-def test_what_no_package_is_is_not_fitted_to_a_camera(known, true_cup, tmp_path):
-    """Say it at once: a search would go on for minutes."""
-    simulate_recording(true_cup, {
-        'kind': 'multi_sine', 'duration': 3.0, 'rest_duration': 1.0,
-        'multi_sine': {'position': {'x': {'amplitude': [0.03], 'frequency': [0.6]}}},
-        'tool': {'rate_hz': 200.0}, 'package': {'rate_hz': 30.0}}, tmp_path / 'bag')
-    with pytest.raises(UnexplainedError, match=r'package\.mass is in g.* --force'):
-        identify({**known, 'bags': [str(tmp_path / 'bag')], 'package.mass': 1800.0})
-
-
 def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_path):
     """See torsion unknown in the fit, null in JSON, 1e9 in the cup file, named by the page."""
     simulate_recording(true_cup, {
@@ -271,29 +221,6 @@ def test_a_recording_at_rest_is_refused(shipped, root, method):
                   'fit.method': method})
 
 
-def test_exchanged_topics_are_refused_before_the_fit(shipped):
-    values = shipped[0].values
-    exchanged = {'topics.tool_pose': values['topics.package_pose'], 'topics.tool_twist': '',
-                 'topics.package_pose': values['topics.tool_pose']}
-    with pytest.raises(BellowsError, match=r'topics\.package_pose'):
-        identify(values.replaced(exchanged))
-
-
-@pytest.mark.stress
-def test_a_wrong_length_is_suspected(shipped):
-    """It is found with K and P."""
-    values, true_cup = shipped
-    result = identify({**values.values, 'cup.length': 0.051, 'fit.method': 'output_error'})
-    K = np.reshape(true_cup['cup.stiffness'], (6, 6))
-    assert_allclose(np.diag(result.fit.stiffness), np.diag(K), rtol=0.01)
-    (cause, *_) = result.verdict.wrong
-    assert {cause.name, cause.instead} == {'length', 'com'}
-    assert_allclose(cause.theta[-1], -5e-3, atol=3e-4)
-    assert not any('does not explain' in text for text in result.warnings)  # the cause does
-    content = json.loads(format_json(result.as_json()))
-    assert content['usable'] is False and 'cup.length' in content['refusals'][-1]
-
-
 def test_a_wrong_world_is_named_before_a_fit(shipped):
     result = identify({**shipped[0].values, 'recording.world': 'motive_y_up',
                        'recording.end': 8.0, 'recording.align_at_rest': False,
@@ -309,45 +236,6 @@ def test_a_rejected_cup_is_written_only_by_force_with_a_note(shipped, tmp_path):
     assert not (tmp_path / 'cup.yaml').exists() and (tmp_path / 'fit.json').exists()
     save(result, tmp_path / 'cup.yaml', None, force=True)
     assert 'REFUSED, but written all the same' in (tmp_path / 'cup.yaml').read_text()
-
-
-EXPENSIVE = {
-    'noise_of': 'core.recording.recording',
-    'statistics': 'core.identification.least_squares',
-    'envelope': 'core.identification.samples',
-}
-
-
-def test_nothing_is_computed_twice(root, known, tmp_path, monkeypatch):
-    """Identify with all that can be asked for and its page: no argument comes a second time."""
-    for module in pkgutil.walk_packages(bellows_ros.__path__, 'bellows_ros.'):
-        if not module.name.startswith(('bellows_ros.nodes', 'bellows_ros.demo')) and \
-                not module.name.endswith('__main__'):
-            importlib.import_module(module.name)
-    calls = Counter()
-
-    def counted(function):
-        @functools.wraps(function)
-        def call(*arguments, **named):
-            calls[function.__name__, hashlib.sha256(pickle.dumps(
-                (arguments, named))).hexdigest()] += 1
-            return function(*arguments, **named)
-        return call
-
-    for name, module in EXPENSIVE.items():
-        function = getattr(sys.modules[f'bellows_ros.{module}'], name)
-        for other in [m for n, m in sys.modules.items() if n.startswith('bellows_ros')]:
-            if getattr(other, name, None) is function:
-                monkeypatch.setattr(other, name, counted(function))
-
-    page = tmp_path / 'page.html'
-    found = identify({
-        **known, 'bags': [str(root / 'bags/identification')],
-        'validation.bags': [str(root / 'bags/validation')], 'fit.method': 'least_squares',
-        'output.report': str(page), 'recording.end': 8.0})
-    write_page(found, page)
-    assert {name for name, _ in calls} == set(EXPENSIVE)
-    assert [key for key, count in calls.items() if count > 1] == []
 
 
 @pytest.fixture(scope='module')
@@ -373,13 +261,6 @@ def test_a_wrong_length_and_centre_are_found_and_used(settings):
     assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
 
 
-def test_a_marker_stays_where_the_fit_has_it_with_a_longer_cup(settings):
-    """Its place and the length of the cup hang together."""
-    (simulated,) = identify({**settings, 'fit.free': ['length', 'package_marker'],
-                             'recording.end': 8.0}).verdict.simulated
-    assert np.all(simulated.rms < 1.1 * simulated.noise)
-
-
 @pytest.mark.parametrize(('change', 'named'), [
     ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'com.* fit.method: output_error'),
     ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'mass.* package.files'),
@@ -391,12 +272,6 @@ def test_a_marker_stays_where_the_fit_has_it_with_a_longer_cup(settings):
 def test_what_cannot_be_free_is_refused(settings, change, named):
     with pytest.raises(BellowsError, match=f'fit.free.*{named}'):
         identify({**settings, 'recording.end': 4.0, **change})
-
-
-def test_clocks_and_worlds_are_the_parameters_that_there_are(settings):
-    values = resolved({**settings, 'fit.free': ['time_offset', 'package_world'],
-                       'fit.method': 'least_squares'})
-    assert values['fit.time_offset'] and values['recording.package_world'] == 'estimate'
 
 
 @pytest.mark.parametrize('method', ['least_squares', 'output_error'])

@@ -101,13 +101,6 @@ def test_offset_is_printed_and_written_into_its_file(result, bag, settings, tmp_
         **kept, **read_parameters(tmp_path / 'cup.yaml')}).validation.failing() == ()
 
 
-def test_an_inertia_in_another_unit_is_named_before_a_world_is_looked_for(bag, settings):
-    wrong = [1e4 * x for x in settings['package.inertia']]
-    with pytest.raises(BellowsError, match='package.inertia is in kg cm'):
-        identify({**settings, 'bags': [bag], 'recording.package_world': 'estimate',
-                  'package.inertia': wrong})
-
-
 def test_without_it_two_frames_are_refused(bag, settings):
     with pytest.raises(BellowsError, match='recording.package_world: estimate'):
         identify({**settings, 'bags': [bag]})

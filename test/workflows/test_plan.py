@@ -21,7 +21,7 @@ from bellows_ros.files.plan_messages import (
     PATH,
     PlanMessage,
 )
-from bellows_ros.files.plans import DESCRIPTION, JOINTS, plans_in_yaml, STATES, TF
+from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES, TF
 from bellows_ros.files.trajectory_files import write_tum
 from bellows_ros.workflows.convert import to_bag, tool_of_joints
 from bellows_ros.workflows.plan import (
@@ -35,13 +35,11 @@ from bellows_ros.workflows.replay import replay
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 from ..conftest import ROOT
 from ..core import plans
 from ..core.planning.test_arm import URDF
-from ..core.plans import CUP, Move
+from ..core.plans import Move
 from ..files.recordings import header, POSE, serialized, TWIST
 from ..files.yaml_plans import cartesian, plan_messages
 
@@ -50,16 +48,6 @@ VALUES = plans.VALUES.replaced({
     'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01})
 T0 = 1_700_000_000_000_000_000
 FIGURES = ('smallest_safety_factor', 'peak_bending', 'peak_force', 'peak_moment', 'swing_left')
-
-UPSIDE_DOWN = """\
-kind: waypoints
-rest_duration: 1.0
-start: {position: [0.3, 0.0, 0.8], rpy: [3.14159265, 0.0, 0.0]}
-waypoints:
-  poses: [{position: [0.3, 0.0, 0.75], rpy: [3.14159265, 0.0, 0.0], move: 1.0, hold: 0.6}]
-tool: {rate_hz: 500.0}
-package: {rate_hz: 360.0}
-"""
 
 
 def samples(rate_hz=250):
@@ -107,16 +95,6 @@ def test_text_and_yaml_are_the_same_plan(truth, tmp_path):
         found = figures(tmp_path / name)
         for figure in FIGURES:
             assert_allclose(found[figure], truth[figure], rtol=2e-3, err_msg=name)
-
-
-def test_a_motion_of_simulate_is_a_plan(tmp_path):
-    (tmp_path / 'motion.yaml').write_text(json.dumps({
-        'kind': 'waypoints', 'rest_duration': 0.0,
-        'waypoints': {'poses': [{'position': [0.6, 0.0, 0.0], 'move': 0.5}]},
-        'tool': {'rate_hz': 100.0}, 'package': {'rate_hz': 100.0}}))
-    found = figures(tmp_path / 'motion.yaml')
-    largest = 10 / np.sqrt(3) * 0.6 / 0.5 ** 2  # m/s^2, of a quintic
-    assert_allclose(found['rigid_peak_moment'], 1.8 * 0.03 * largest, rtol=1e-3)
 
 
 def joints(rate_hz=100):
@@ -200,31 +178,6 @@ def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
             assert_allclose(read[figure], found[figure], rtol=1e-6)
 
 
-@pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_plan_of_moveit_is_read_by_the_definition_in_its_recording(plugin, tmp_path):
-    """Of another release: fields in another order, and further ones."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(
-        'float64 cost\ntrajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory\n'
-        'trajectory_msgs/JointTrajectory joint_trajectory', ROBOT_TRAJECTORY))
-    store.register(get_types_from_msg(
-        'moveit_msgs/RobotTrajectory[] trajectory\nstring model_id', DISPLAY_TRAJECTORY))
-    data = serialized(JOINTS, joint_message())
-    none = store.types[MULTI_DOF](store.types['std_msgs/msg/Header'](
-        store.types['builtin_interfaces/msg/Time'](0, 0), ''), [], [])
-    trajectory = store.types[ROBOT_TRAJECTORY](1.0, none, store.deserialize_cdr(data, JOINTS))
-    message = store.types[DISPLAY_TRAJECTORY]([trajectory], 'arm')
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=plugin) as writer:
-        topic = writer.add_connection('/plan', DISPLAY_TRAJECTORY, typestore=store)
-        writer.write(topic, T0, store.serialize_cdr(message, DISPLAY_TRAJECTORY))
-    urdf = tmp_path / 'arm.urdf'
-    urdf.write_text(URDF)
-    read, expected = (figures(bag, values={'tool_link': 'tool'}, urdf=str(urdf)) for bag in (
-        tmp_path / 'bag', bag_of(tmp_path / 'plain', JOINTS, data)))
-    for figure in FIGURES:
-        assert_allclose(read[figure], expected[figure], rtol=1e-9)
-
-
 def test_a_recording_without_a_plan_gets_an_error_with_the_forms_of_plans(tmp_path):
     bag = bag_of(tmp_path / 'bag', DESCRIPTION, serialized(DESCRIPTION, ('none',)))
     with pytest.raises(BellowsError, match='DisplayTrajectory'):
@@ -270,19 +223,6 @@ def test_recorded_poses_are_a_plan(truth, tmp_path):
     write_bag(tmp_path / 'poses', [as_messages('/tool_arm/pose', POSE, stamps, still, 'base')])
     smooth = figures(tmp_path / 'poses')
     assert_allclose(smooth['peak_moment'], truth['peak_moment'], rtol=0.01)
-
-
-@pytest.mark.parametrize('seed', range(5))
-def test_poses_of_a_still_tool_with_ordinary_noise_are_a_plan(seed, tmp_path):
-    """Estimates of its velocities are noise, and no other motion."""
-    rng = np.random.default_rng(seed)
-    poses = np.tile([0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0], (1000, 1))
-    poses[:, :3] += 1e-4 * rng.standard_normal((1000, 3))
-    poses[:, 3:6] += 0.5 * np.radians(0.02) * rng.standard_normal((1000, 3))
-    stamps = T0 + np.arange(1000) * 8_333_333
-    write_bag(tmp_path / 'poses', [as_messages('/tool_arm/pose', POSE, stamps, poses, 'base')])
-    values = resolve(VALUES.replaced({'topics.tool_twist': ''}), ())
-    assert len(read_plan(tmp_path / 'poses', values).tool) > 900
 
 
 def test_a_part_of_a_plan_is_taken(tmp_path):
@@ -339,16 +279,6 @@ def test_lost_grip_and_unknown_grip_are_reported(bag):
     assert any('bending about' in phrase for phrase in outside)
 
 
-def test_a_package_pressed_on_the_cup_needs_no_factor(tmp_path, recwarn):
-    """Upside down, without a warning of the grip or of NumPy."""
-    path = tmp_path / 'up.yaml'
-    path.write_text(UPSIDE_DOWN)
-    report = plan(path, read_parameters(ROOT / 'bags' / 'tossing.yaml'))
-    assert report.prediction.smallest_safety.factor == math.inf
-    assert not any('safety' in text for text in report.warnings)
-    assert not [each for each in recwarn if issubclass(each.category, RuntimeWarning)]
-
-
 def test_a_bad_plan_is_refused(bag, tmp_path):
     with pytest.raises(BellowsError, match="'base'.* plan.frame, 'world'"):
         figures(bag, values={'plan.frame': 'world'})
@@ -372,22 +302,6 @@ def test_what_is_no_plan_is_refused(tmp_path):
     elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
     with pytest.raises(BellowsError, match="'else'.*'base'"):
         figures(bag_of(tmp_path / 'frames', PATH, elsewhere))
-
-
-def test_a_printed_message_of_several_trajectories_says_which_is_used(tmp_path):
-    """As a recording of it does."""
-    joints = plan_messages()['joints']
-    later = {**joints, 'joint_names': ['other', 'slide', 'spin']}
-    content = {'trajectory': [
-        {'joint_trajectory': each, 'multi_dof_joint_trajectory': {'points': []}}
-        for each in (joints, later)]}
-    assert [each.names[0] for each in plans_in_yaml(content, 'a')] == ['turn', 'other']
-    body = plan_messages()['multi']
-    content = {'trajectory': [
-        {'joint_trajectory': {'points': []}, 'multi_dof_joint_trajectory': body}] * 2}
-    (tmp_path / 'plan.yaml').write_text(json.dumps(content))
-    assert any('has 2 plans; using the first' in note
-               for note in plan(tmp_path / 'plan.yaml', VALUES).warnings)
 
 
 @pytest.mark.parametrize('form', ['multi', 'joints', 'path'])
@@ -424,18 +338,6 @@ def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path, values):
     bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message(frame_id='tool0')))
     with pytest.raises(BellowsError, match="'tool0'"):
         figures(bag, values=values)
-
-
-def test_the_settling_time_has_a_deviation_where_it_may_be_longer_than_is_watched(bag):
-    """With half of the damping it is not over after 30 s; where it is not known, there is none."""
-    weak = 0.04 * CUP.damping.ravel()
-    found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': weak})
-    assert 20.0 < found['settled_after'] < 30.0
-    assert 5.0 < found['settled_after_std'] < 30.0
-    weak = 0.01 * CUP.damping.ravel()
-    found = figures(bag, values={'cup.damping': weak, 'cup.damping_std': 0.1 * weak})
-    assert found['settled_after'] is None and found['settled_after_std'] is None
-    assert found['swing_left_std'] > 0.0
 
 
 def test_a_recording_that_begins_at_rest_is_predicted_from_rest():

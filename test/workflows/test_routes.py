@@ -120,13 +120,6 @@ def test_a_cluster_gives_the_same_cup_although_a_worker_is_lost(simulated, clust
     assert progress.killed
 
 
-@pytest.mark.stress
-def test_processes_give_the_same_cup_although_one_is_lost(simulated):
-    progress = killer(lambda: processes()[0])
-    require_the_same(*simulated, jobs=2, progress=progress)
-    assert progress.killed
-
-
 def killer(process):
     """Return a progress that kills a process in the third step of a search."""
     def progress(what, part=0.0):
@@ -159,47 +152,6 @@ def processes():
         except OSError:
             continue  # it has ended
     return found
-
-
-def test_a_worker_that_dies_ends_no_work(settings, one_result):
-    killed = []
-
-    def kill_one(what, part):
-        if 0.0 < part < 1.0 and not killed:
-            killed.append(processes()[0])
-            os.kill(killed[0], signal.SIGKILL)
-
-    bags = ['nowhere', *settings['bags'], 'nor here', 'nor there']  # the first is done at once
-    result = identify({**settings, 'bags': bags}, jobs=2, progress=kill_one)
-    assert killed
-    assert [failed.bag for failed in result.failed] == [bags[0], *bags[3:]]
-    assert all(failed.bag in failed.reason for failed in result.failed)
-    assert result.fit.samples_used == one_result.fit.samples_used
-
-
-def deadly(number):
-    """End the process of one number, as the system does where memory is short."""
-    if number == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
-
-
-@pytest.mark.stress
-def test_a_recording_that_kills_its_worker_is_left_out():
-    pytest.importorskip('distributed', reason='extra dask')
-    with workers.processes(2) as pool:
-        ended = pool.run(deadly, range(6))
-        errors = [pool.error(each) for each in ended]
-    assert [error is None for error in errors] == [True, False, True, True, True, True]
-    assert 'twice' in str(errors[1])
-
-
-@pytest.mark.parametrize(('option', 'route'), [
-    ('--dask', {'dask': 'tcp://127.0.0.1:1'}), ('--jobs', {'jobs': 2})])
-def test_missing_extra_is_reported(settings, monkeypatch, option, route):
-    monkeypatch.setitem(__import__('sys').modules, 'distributed', None)
-    with pytest.raises(BellowsError, match=f"{option}.*'distributed'.*install"):
-        identify(settings, **route)
 
 
 def test_a_recording_counts_once_under_any_name(settings, tmp_path):

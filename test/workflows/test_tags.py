@@ -97,22 +97,3 @@ def test_a_lens_and_a_smaller_tag_than_stated_leave_k_and_name_the_inputs(motion
     assert found.remappings == {
         'tool_arm/pose': '/tool', 'package/measured': '/detections',
         'package/camera_info': '/info'}
-
-
-@pytest.mark.stress
-def test_a_rolling_shutter_widens_the_errors_that_are_stated(motion, tmp_path):
-    """It is no part of the model: 20 ms from the first to the last line count as noise."""
-    _, error, std = fitted(tmp_path / 'b', motion, *images(motion[1], readout=0.02))
-    assert np.all(np.abs(error) < np.minimum(3.0 * std, 0.03)) and std.max() < 0.06
-
-
-@pytest.mark.stress
-def test_a_half_hidden_tag_is_seen_less_often_and_sometimes_wrongly(motion, tmp_path):
-    """Hidden in a third of the time, and with a wrong edge in three views of a hundred."""
-    times, pixels = images(motion[1])
-    draw = np.random.default_rng(5)
-    wrong = np.flatnonzero(draw.random(len(times)) < 0.03)
-    pixels[wrong[:, None], [0, 1], 1] += draw.normal(0.0, 8.0, (len(wrong), 1))
-    shown = np.sin(0.004 * times) > -0.5
-    _, error, std = fitted(tmp_path / 'b', motion, times[shown], pixels[shown])
-    assert np.all(np.abs(error) < np.minimum(3.0 * std, 0.06)) and std.max() < 0.06

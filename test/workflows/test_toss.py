@@ -7,16 +7,12 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.toss.landing import coverage, SECOND_ORDER
 from bellows_ros.errors import NoTopicError
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.messages import BOOL, encode_bool, POSE
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load
 from bellows_ros.workflows.simulate import simulate_recording
 from bellows_ros.workflows.toss import identify_release, toss_plan
 import numpy as np
 import pytest
-
-from ..core import drops
 
 BAGS = Path(__file__).parents[2] / 'bags'
 VALUES = Values({
@@ -72,32 +68,6 @@ def test_says_first_that_no_valve_was_recorded_and_needs_no_grip(recorded):
     assert loose.fit.law[0] == pytest.approx(np.mean(recorded[1]), abs=3e-3)
 
 
-def test_drops_of_a_point_without_orientation_suffice(tmp_path):
-    """As a laser or one marker gives them: the release needs heights alone."""
-    rng, seconds = np.random.default_rng(4), np.arange(540) / 360.0
-    law = (0.015, 0.5, 0.0, 22.0, 19.0, 0.0204, 25.0, 2.42)
-    z = 1.5 + np.concatenate([
-        drops.simulated(1.8, 6500.0, 0.05, law, seconds, 1.0 + 5e-4 * rng.normal())
-        for _ in range(4)])
-    stamps_ns = 10**18 + np.round(1e9 * np.add.outer(2.0 * np.arange(4), seconds)).astype(
-        np.int64).ravel()
-    off_ns = 10**18 + 10**9 * np.arange(8, dtype=np.int64)
-    poses = [np.column_stack([noise * rng.standard_normal((len(z), 2)), height, np.tile(
-        [0.0, 0.0, 0.0, 1.0], (len(z), 1))]) for noise, height in (
-            (2e-5, 1.5 + 2e-5 * rng.standard_normal(len(z))),
-            (1e-4, z + 1e-4 * rng.standard_normal(len(z))))]
-    write_bag(tmp_path / 'bag', [
-        as_messages('/tool_arm/pose', POSE, stamps_ns, poses[0]),
-        as_messages('/package/pose', POSE, stamps_ns, poses[1]),
-        Encoded('/vacuum/valve', BOOL, off_ns, [encode_bool(k % 2 == 0) for k in range(8)])],
-        'mcap', False, True)
-    found = identify_release(VALUES.replaced({
-        'bags': [str(tmp_path / 'bag')], 'cup.length': 0.05, 'package.com': (0.0, 0.0, 0.0),
-        'cup.stiffness': tuple(np.diag([6500.0, 6500.0, 6500.0, 4.0, 4.0, 1.3]).ravel())}))
-    assert len(found.fit.drops) == 4 and found.fit.position < 3e-4
-    assert found.fit.law[0] == pytest.approx(0.015, abs=4e-3)
-
-
 def test_the_ellipse_holds_what_the_law_does_to_second_order():
     """Of 300 tosses with the law of 53 drops; the first derivatives alone hold 86 %."""
     values = read_parameters(BAGS / 'tossing.yaml')
@@ -106,19 +76,3 @@ def test_the_ellipse_holds_what_the_law_does_to_second_order():
     first = made._replace(parts=made.parts * (np.array(made.names) != SECOND_ORDER)[:, None])
     assert coverage(first.covariance, errors) < 0.9 < 0.92 < coverage(made.covariance, errors)
     assert made.parts[-1, 0] == pytest.approx(errors[:, 0].mean(), abs=2e-3)  # 4 standard errors
-
-
-@pytest.mark.stress
-def test_a_cup_that_opens_is_simulated_and_found(tmp_path):
-    """The law of release from tosses in motion, by an identification that need not be told."""
-    law = {'release.delay': 0.015, 'release.tau': 0.5, 'release.impulse': 0.0,
-           'release.blow_off': 20.0, 'release.closing': 60.0, 'release.opening': 0.02,
-           'release.damping': 30.0, 'release.sticking': 2.0, 'release.delay_std': 5e-4,
-           **{f'release.{name}_std': 0.0 for name in (
-               'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking')}}
-    drawn = simulated(VALUES.replaced(law), 4, tmp_path / 'bag')
-    found = identify_release(VALUES.replaced({'bags': [str(tmp_path / 'bag')]}))
-    assert set(found.fit.free) >= {0, 3, 4, 5, 6, 7}
-    assert found.fit.chi2 == pytest.approx(1.0, abs=0.4)  # one mass does not tell all numbers
-    late = [toss.release_time - toss.valve_time for toss in drawn]
-    np.testing.assert_allclose([drop.released for drop in found.fit.drops], late, atol=2e-3)

@@ -6,14 +6,12 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Finding, Fit
 from bellows_ros.core.model.structure import STRUCTURES
-from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import tag_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.faults import recording_remarks
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.workflows import verdict
-from bellows_ros.workflows.recordings import checked, load
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
 import numpy as np
 import pytest
@@ -124,29 +122,6 @@ def test_what_a_fit_found_comes_after_nothing_but_facts():
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
-@pytest.mark.parametrize(('aside', 'refused'), [
-    (5e-4, False), pytest.param(9e-3, True, marks=pytest.mark.stress)])
-def test_a_centre_of_mass_is_corrected_as_far_as_it_may_be_off(aside, refused):
-    """Fit with it, and say so; refuse beyond three times the ordinary 2 mm."""
-    laboratory = Laboratory(4, seconds=8.0, rate_hz=240.0)
-    laboratory.frame = laboratory.said_frame = 'com'
-    laboratory.say(com=[aside, 0.0, 0.0])
-    recordings, values = laboratory.recordings(), parameters(laboratory)
-    found = fit(recordings, values)
-    said = verdict.verdict_of(found, recordings, laboratory.length, values)
-    assert bool(said.refusals) is refused
-    if not refused:
-        off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
-        assert np.all(off < 4.0)
-        stated = values.replaced({'package.com_std': (aside,) * 3})
-        said = verdict.verdict_of(found, recordings, laboratory.length, stated)
-        (name, (com, off, _)), *_ = said.found.items()
-        assert name == 'package.com' and float(off.removesuffix(' mm')) > 800.0 * aside
-        np.testing.assert_allclose(com[:2], 0.0, atol=0.1 * aside)
-        assert 'package.com [' in said.doubts[-1]
-
-
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
 def test_a_gap_of_the_tool_refuses_no_cup():
     """Fit and simulate each segment from a first state of its own."""
     laboratory = Laboratory(4, seconds=8.0, rate_hz=240.0)
@@ -162,21 +137,6 @@ def test_a_gap_of_the_tool_refuses_no_cup():
     assert np.all(off < 4.0)
     said = verdict.verdict_of(found, [gapped], laboratory.length, values)
     assert not said.refusals and np.all(said.simulated[0].rms < 1.5 * said.simulated[0].noise)
-
-
-@pytest.mark.stress
-def test_a_wrong_frame_is_named_though_it_looks_like_rubber(root, known):
-    """Name it before a relaxation that no rubber has."""
-    values = resolve({**known, 'recording.package_frame': 'lip'}, ())
-    recordings = [load(root / 'bags' / 'identification', values)]
-    said = verdict.verdict_of(fit(recordings, values), recordings, values['cup.length'], values)
-    assert (said.causing[0].name, said.causing[0].certain) == ('recording.package_frame', True)
-
-
-def test_a_length_in_centimetres_is_found_before_a_fit(root, known):
-    values = resolve({**known, 'cup.length': 0.46}, ())
-    found = checked(load(root / 'bags' / 'identification', values), 0.46)
-    assert 'length' in [remark.code for remark in found.report.remarks]
 
 
 def test_an_estimate_beyond_three_deviations_is_a_finding_of_its_own():

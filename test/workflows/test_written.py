@@ -39,26 +39,6 @@ def test_the_files_of_a_fit_reproduce_its_free_simulation(
     assert_allclose(again, found.verdict.simulated[0].rms, rtol=0.01)
 
 
-@pytest.mark.parametrize(('bags', 'settings'), [
-    pytest.param(['bags/tag'], {
-        'topics.tool_pose': '/tcp_pose_broadcaster/pose', 'topics.tool_twist': '',
-        'topics.package_pose': '/camera/box',
-        'tool_pose.offset': '0 0 0 1 0 0 0', 'measured.tag_size': 0.048,
-        'recording.package_world': 'estimate', 'fit.time_offset': True,
-        'fit.free': ['package_marker', 'scale']}, marks=pytest.mark.stress),
-    (['bags/validation', 'bags/static'], {'fit.free': ['length'], 'cup.length': 0.0475})],
-    ids=['tag', 'two recordings'])
-def test_the_files_of_a_fit_reproduce_each_recording(root, known, tmp_path, bags, settings):
-    settings = {**known, 'fit.method': 'output_error', **settings}
-    found = identify({**settings, 'bags': [str(root / bag) for bag in bags]})
-    cell, cup = tmp_path / 'cell.yaml', tmp_path / 'cup.yaml'
-    save(found, cup, None, cell_path=cell)
-    files = {**read_parameters(cell), **read_parameters(cup)}
-    for bag, simulated in zip(bags, found.verdict.simulated, strict=True):
-        again = replay(str(root / bag), files).validation.scores.rms
-        assert_allclose(again, simulated.rms, rtol=0.01)
-
-
 def test_a_number_that_is_not_identifiable_is_the_given_one(root, known, tmp_path):
     given = np.diag([50.0, 50.0, 25.0, 0.06, 0.06, 0.1])
     found = identify({**known, 'fit.method': 'output_error', 'bags': [str(root / 'bags/static')],
