@@ -25,7 +25,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 
 from ..errors import shown
-from ..report import health
+from ..report import findings, health
 
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
@@ -76,7 +76,8 @@ class GuardedNode(Node):
         """Warn once about messages without a frame."""
         if not frame_id and topic not in self._without_frame:
             self._without_frame.add(topic)
-            self.get_logger().warning(health.say('inputs.no_frame', topic=topic, meaning=meaning))
+            self.get_logger().warning(findings.text(
+                health.fact('no_frame', topic=topic, meaning=meaning)))
 
     def guarded(
         self, callback: Callable[..., Any],

@@ -73,7 +73,8 @@ class SensorInput:
         on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
     ) -> None:
         self._node, self._type = node, type_name(kind)
-        self.arrivals, self.age = health.Arrivals(), math.nan
+        self.last_ns, self._count, self.age = -1, 0, math.nan
+        self._intervals, self._ages = health.window(), health.window()
         self._refused: Mapping[str, int] = {}
         self._subscription = node.create_subscription(
             kind, topic, callback,
@@ -89,12 +90,16 @@ class SensorInput:
         equal unless time is simulated, which is checked once per report.
         """
         arrival_ns = time.monotonic_ns()
-        if not self.arrivals.count:
+        if not self._count:
             self._clock = self._node.get_clock()
             self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
         now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
         self.age = math.nan if stamp_ns is None else (now_ns - stamp_ns) / NS_PER_S
-        self.arrivals.add(arrival_ns, self.age)
+        if self.last_ns >= 0:
+            self._intervals.append((arrival_ns - self.last_ns) / NS_PER_S)
+        self.last_ns = arrival_ns
+        self._count += 1
+        self._ages.append(self.age)
         return arrival_ns
 
     def report(self, refused: Mapping[str, int]) -> health.InputReport:
@@ -102,36 +107,33 @@ class SensorInput:
         before, self._refused = self._refused, dict(refused)
         if any(count < before.get(reason, 0) for reason, count in refused.items()):
             before = {}  # the counter has been replaced
-        last_ns = self.arrivals.last_ns
-        silent = (time.monotonic_ns() - last_ns) / NS_PER_S if last_ns >= 0 else float('inf')
+        silent = (time.monotonic_ns() - self.last_ns) / NS_PER_S if self.last_ns >= 0 else math.inf
+        count, self._count = self._count, 0
         publishers = self._node.count_publishers(self.topic)
         return health.InputReport(
-            self.topic, publishers, self._mismatch(publishers), *self.arrivals.reset(), silent,
+            self.topic, publishers, self._mismatch(publishers), count,
+            health.taken(self._intervals), health.taken(self._ages), silent,
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
-    def _mismatch(self, publishers: int) -> str:
-        """Return the reason why a publisher is incompatible, if any."""
+    def _mismatch(self, publishers: int) -> Finding | None:
+        """Return the finding on an incompatible publisher, if any."""
         asked = self._subscription.qos_profile
-        may_miss = self._type == 'std_msgs/msg/Bool' and self.arrivals.last_ns < 0 and (
+        may_miss = self._type == 'std_msgs/msg/Bool' and self.last_ns < 0 and (
             asked.durability == DurabilityPolicy.VOLATILE)
         if not may_miss and self._subscription.get_publisher_count() >= publishers:
-            return ''
+            return None
         for other in self._node.get_publishers_info_by_topic(self.topic):
             offered = other.qos_profile
             if may_miss and offered.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-                return self._sentence('latched', '')
+                return health.fact('latched', topic=self.topic)
             if other.topic_type != self._type:
-                return self._sentence('type', other.topic_type)
+                return health.fact('type', topic=self.topic, name=other.topic_type)
             for name, mismatch in (
                     ('reliability', (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)),
                     ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
                 if (getattr(asked, name), getattr(offered, name)) == mismatch:
-                    return self._sentence('qos', name)
-        return ''
-
-    def _sentence(self, mismatch: str, name: str) -> str:
-        """Return the mismatch in words."""
-        return health.say(f'inputs.{mismatch}', topic=self.topic, name=name)
+                    return health.fact('qos', topic=self.topic, name=name)
+        return None
 
 
 def optional_type(name: str, setting: str, topic: str) -> type:
@@ -195,10 +197,11 @@ class TransformInput(SensorInput):
         """Return the arrivals since the last call, with the poses that lacked a transform."""
         return super().report({**refused, 'no_transform': self._chain.dropped})
 
-    def _mismatch(self, publishers: int) -> str:
-        """Return the reason for missing poses despite a publisher."""
-        missing = self._chain.missing if publishers and not self.arrivals.count else ''
-        return self._sentence('frames', missing) if missing else super()._mismatch(publishers)
+    def _mismatch(self, publishers: int) -> Finding | None:
+        """Return the finding on missing poses despite a publisher."""
+        missing = self._chain.missing if publishers and not self._count else ''
+        return health.fact('frames', topic=self.topic, name=missing) if missing else (
+            super()._mismatch(publishers))
 
 
 class Attachment:
@@ -264,8 +267,8 @@ class Attachment:
             self._refused[rejected] += 1
             if live.vacuum.fault:
                 self._pipeline.node.get_logger().error(
-                    f'The package counts as not held: {health.REASONS[live.vacuum.fault]}. '
-                    f'{health.say("inputs.pressure", topic=self.signal.topic)}',
+                    findings.text(health.fact('pressure_fault', topic=self.signal.topic,
+                                              reason=health.REASONS[live.vacuum.fault])),
                     throttle_duration_sec=30.0)
         elif live.vacuum.open_cups != opened:
             cups = ', '.join(map(str, live.vacuum.open_cups))
@@ -370,7 +373,8 @@ class Observing:
             self._no_wrench[refused] += 1
         elif fault := self._live.wrench_fault:
             self._pipeline.node.get_logger().error(
-                self._wrong_wrench(fault), throttle_duration_sec=30.0)
+                f'{findings.text(self._wrong_wrench(fault))} The wrenches are not used.',
+                throttle_duration_sec=30.0)
         self._publish_payload()
 
     def _on_transforms(self, message: Any) -> None:
@@ -450,17 +454,16 @@ class Observing:
 
     def wrench_status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics on the wrenches; None before the first message."""
-        if not self._wrench_in.arrivals.count and not self._wrench_in.arrivals.last_ns >= 0:
+        if self._wrench_in.last_ns < 0:
             return None
         status = health.input_status(name, self._wrench_in.report(self._no_wrench))
         if fault := self._live.wrench_fault:
-            return status._replace(level=health.Level.ERROR, message=self._wrong_wrench(fault))
+            return status._replace(finding=self._wrong_wrench(fault))
         return status
 
-    def _wrong_wrench(self, fault: str) -> str:
-        """Return a sentence on a wrong set-up of the force-torque sensor."""
-        what = findings.text(Finding(f'wrench_{fault}', Level.ERROR, {}, self._wrench_in.topic))
-        return f'{what} The wrenches are not used.'
+    def _wrong_wrench(self, fault: str) -> Finding:
+        """Return the finding on a wrong set-up of the force-torque sensor, which is not used."""
+        return Finding(f'wrench_{fault}', Level.ERROR, {}, self._wrench_in.topic)
 
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None before the first message."""
@@ -479,6 +482,6 @@ class Observing:
                 {**{verdict: counts[verdict] for verdict in VERDICTS}, **self._no_view}))
         status.values.update({key: str(value) for key, value in more.items()})
         if alarm := live.alarm:
-            return status._replace(level=health.Level.ERROR, message=alarm_sentence(alarm))
-        return status if live.attached else status._replace(
-            level=min(status.level, health.Level.WARN))
+            return status._replace(finding=health.fact(
+                'alarm', Level.ERROR, text=alarm_sentence(alarm)))
+        return status if live.attached else status.at_level(min(status.level, Level.WARN))

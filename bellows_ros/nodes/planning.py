@@ -30,7 +30,7 @@ from ..errors import BellowsError
 from ..files import plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
 from ..report.findings import warnings
-from ..report.health import number, Status
+from ..report.health import fact, number, Status
 
 TAIL = 2.0
 """Predicted time after the end of a plan, s."""
@@ -118,8 +118,7 @@ class Planning:
                 self._steer_joints(plan, tool, joints)
         except BellowsError as error:
             if not stop[0]:  # a newer plan is waiting
-                self._outcome = Status(
-                    'plan', Level.WARN, f'The last plan was refused. {error}', {})
+                self._outcome = Status('plan', fact('plan_refused', error=str(error)), {})
                 self._pipeline.node.get_logger().warning(f'A plan was refused. {error}')
 
     def _predict(self, tool: Trajectory, tail: float, stop: Mask) -> PlanPrediction:
@@ -158,7 +157,8 @@ class Planning:
             flip_finding(outcome.bending)))))
         released = outcome.grip is not None and safety[0] < 1.0
         level = Level.ERROR if released else Level.WARN if message else Level.OK
-        return Status('plan', level, message or 'The plan is within all given limits.', {
+        return Status('plan', fact(
+            'plan', level, text=message or 'The plan is within all given limits.'), {
             name: number(value) for name, value in outcome.summary().items()})
 
     # ---------------------------------------------------------------- reading

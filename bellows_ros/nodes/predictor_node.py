@@ -10,7 +10,6 @@ from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.values import Values
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
-import numpy as np
 from rclpy.clock import Clock, JumpThreshold
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -23,6 +22,7 @@ from std_srvs.srv import Trigger
 
 from .node_parameters import ManagedNode, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
+from ..core.findings import Level
 from ..core.geometry.jit import COMPILED, NOT_COMPILED
 from ..core.live.load import check_live
 from ..core.parameters import checks
@@ -315,17 +315,21 @@ class Diagnostics:
         pipeline: Pipeline | None = self._node.pipeline
         if pipeline is None:
             self._due.clear()
-            return [health.prediction_status(
-                'prediction', state, 'none', 'none', np.empty(0), {}, {}, 'unknown', True, False)]
+            return [health.Status('prediction', health.prediction_finding(
+                state, 'none', {}, True, True, False), {'lifecycle': state})]
         live, new = pipeline.live, pipeline.new_counts()
         restarts = {reason: new[reason] for reason in live.restarts}
         above = live.is_above
-        failures = {f'failed: {what}': n for what, n in self._node.failures.items()}
-        lines = [health.prediction_status(
-            'prediction', state, live.phase(time.monotonic_ns()),
-            pipeline.values.cup.name or 'cup.*', health.taken(pipeline.compute),
-            {**live.counts, **failures}, restarts, live.tool.verdict,
-            pipeline.uncertainty.available, above)]
+        counts = {**live.counts, **{f'failed: {k}': n for k, n in self._node.failures.items()}}
+        phase = live.phase(time.monotonic_ns())
+        lines = [health.Status('prediction', health.prediction_finding(
+            state, phase, restarts, live.tool.verdict != 'does_not_fit',
+            pipeline.uncertainty.available, above), {
+                'lifecycle': state, 'phase': phase, 'cup': pipeline.values.cup.name or 'cup.*',
+                **health.quantiles(
+                    'compute time {} (us)', health.taken(pipeline.compute), 1e6),
+                'twists against poses': live.tool.verdict,
+                **{name: str(count) for name, count in counts.items()}})]
         if state != 'active':
             return lines
         started = tuple(reason for reason, count in restarts.items() if count)
@@ -341,14 +345,13 @@ class Diagnostics:
             health.twist_status('tool twist', twists, new['poses'], new['alone'] * bool(twist_in))]
         for line, report in zip(lines[1:], (poses, twists), strict=True):
             refused = any(report.refused.values())
-            self._log(line, line.level > health.Level.OK, 0.0 if refused else LOG_DELAY, refused)
+            self._log(line, line.level > Level.OK, 0.0 if refused else LOG_DELAY, refused)
         others = (
             pipeline.observing.status('measured package'),
             pipeline.observing.wrench_status('wrench'), pipeline.attachment.status('vacuum'),
             pipeline.planning.status)
-        safety, distance, bending = pipeline.load.reset()
-        load = health.load_status('load', pipeline.load, safety, distance, bending)
-        self._log(load, safety is not None and safety.factor < pipeline.load.required)
+        load = health.load_status('load', pipeline.load)
+        self._log(load, load.finding.code in ('live_unsafe', 'live_lets_go'))
         return [*lines, load, *(line for line in others if line)]
 
     def _log(
@@ -360,7 +363,7 @@ class Diagnostics:
             self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
         elif now >= self._due.setdefault(key, now + after):
             self._due[key] = now + LOG_INTERVAL
-            if line.level == health.Level.ERROR and line.name in ('prediction', 'load'):
+            if line.level == Level.ERROR and line.name in ('prediction', 'load'):
                 self._node.get_logger().error(shown(line.message, MAX_MESSAGE))
             else:  # another line of code, as rclpy rejects a second severity from one
                 self._node.get_logger().warning(shown(line.message, MAX_MESSAGE))

@@ -1,5 +1,5 @@
 """
-Diagnostics of the predictor: levels (REP-107), messages and numbers; no ROS.
+Diagnostics of the predictor: a finding with numbers for each line; no ROS.
 
 Rates, jitter, age and computing times of messages are kept in constant memory.
 
@@ -8,22 +8,31 @@ OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 
 from collections import deque
 from collections.abc import Mapping
-from functools import partial
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from bellows_ros.core.findings import Level as Level
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.live.load import Load, Safety
+from bellows_ros.core.live.load import Load
 from bellows_ros.core.live.predictor import LivePredictor
-from bellows_ros.core.model.validity_range import Distance, FLAT_MOMENT_BENDING
+from bellows_ros.core.model.validity_range import FLAT_MOMENT_BENDING
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files import messages
-from bellows_ros.report.sentences import sentence, texts
+from bellows_ros.report import findings
+from bellows_ros.report.sentences import texts
 import numpy as np
 
 WINDOW_LENGTH = 2048
+"""Number of messages of which times are kept."""
+
+MAX_AGE = 1.0
+"""Largest absolute age of a message on the node's clock, s; larger ages mean another clock."""
+
+REASONS: Mapping[str, str] = {**messages.REASONS, **{
+    code.partition('.')[2]: text.format(gap=LONGEST_GAP_NS / NS_PER_S)
+    for code, text in texts('live').items()}}
+"""Reasons for rejecting a message or for a restart, in words."""
 
 
 def window() -> deque[float]:
@@ -38,90 +47,11 @@ def taken(numbers: deque[float]) -> Array:
     return values
 
 
-def quantiles(values: Array) -> dict[str, float]:
-    """Return median, 99 % quantile and maximum of numbers (N,); NaN without any."""
-    numbers = np.percentile(values if len(values) else math.nan, (50.0, 99.0, 100.0)).tolist()
-    return dict(zip(('p50', 'p99', 'max'), numbers, strict=True))
-
-
-class Arrivals:
-    """
-    Arrivals of the messages of one topic since the last reset.
-
-    Attributes
-    ----------
-    last_ns : int
-        Arrival of the newest message, -1 before the first.
-    count : int
-        Number of messages.
-
-    """
-
-    def __init__(self) -> None:
-        self.last_ns, self.count = -1, 0
-        self._ages, self._intervals = window(), window()
-
-    def add(self, arrival_ns: int, age: float) -> None:
-        """Record a message and its age (s)."""
-        if self.last_ns >= 0:
-            self._intervals.append((arrival_ns - self.last_ns) / NS_PER_S)
-        self.last_ns = arrival_ns
-        self.count += 1
-        self._ages.append(age)
-
-    def reset(self) -> tuple[int, float, float, dict[str, float]]:
-        """
-        Return statistics of the arrivals since the last call, and reset them.
-
-        The statistics are number, rate (Hz), jitter and age (s) as in `InputReport`; NaN for too
-        few messages.
-        """
-        count, self.count, intervals = self.count, 0, taken(self._intervals)
-        mean = float(intervals.mean()) if len(intervals) else math.nan
-        return (count, 1.0 / mean if mean > 0.0 else math.nan,
-                float(intervals.std()) if len(intervals) else 0.0, quantiles(taken(self._ages)))
-
-
-MAX_AGE = 1.0
-"""Largest absolute age of a message on the node's clock, s; larger ages mean another clock."""
-
-say = partial(sentence, 'live')
-"""Function that returns the sentence of a code of the live predictor."""
-
-REASONS: Mapping[str, str] = {**messages.REASONS, **{
-    code.partition('.')[2]: text.format(gap=LONGEST_GAP_NS / NS_PER_S)
-    for code, text in texts('live').items() if code.startswith(('refusals.', 'restarts.'))}}
-"""Reasons for rejecting a message or for a restart, in words."""
-
-
-class Status(NamedTuple):
-    """One line of the diagnostics."""
-
-    name: str
-    level: Level
-    message: str
-    values: dict[str, str]
-
-
-class InputReport(NamedTuple):
-    """Statistics of one input since the last report."""
-
-    topic: str
-    publishers: int
-    mismatch: str
-    """QoS setting that is incompatible with a publisher, or ''."""
-    messages: int
-    rate_hz: float
-    jitter: float
-    """Standard deviation of the time between two arrivals, s."""
-    age: dict[str, float]
-    """Quantiles of arrival minus stamp on the node's clock, s."""
-    silent: float
-    """Time since the last message, s; infinite before the first."""
-    refused: Mapping[str, int]
-    """Counts since the last report."""
-    total_refused: Mapping[str, int]
-    """Counts since the start."""
+def quantiles(name: str, values: Array, factor: float = 1.0) -> dict[str, str]:
+    """Return median, 99 % quantile and maximum of numbers (N,), with a name."""
+    numbers = factor * np.percentile(values if len(values) else math.nan, (50.0, 99.0, 100.0))
+    return {name.format(which): number(x)
+            for which, x in zip(('p50', 'p99', 'max'), numbers.tolist(), strict=True)}
 
 
 def number(value: float) -> str:
@@ -129,64 +59,108 @@ def number(value: float) -> str:
     return f'{value:.4g}' if math.isfinite(value) else 'none'
 
 
-def _values(report: InputReport) -> dict[str, str]:
-    """Return the numbers of an input."""
-    numbers = {
-        'rate (Hz)': report.rate_hz, 'jitter (s)': report.jitter,
-        **{f'age {which} (s)': age for which, age in report.age.items()},
-        'silent for (s)': report.silent}
-    return {
-        'topic': report.topic, 'publishers': str(report.publishers),
-        **{name: number(value) for name, value in numbers.items()},
-        **{f'refused: {reason}': str(count) for reason, count in report.total_refused.items()}}
+def fact(code: str, level: Level = Level.WARN, topic: str = '', **numbers: Any) -> Finding:
+    """Return a finding on the live prediction."""
+    return Finding(f'live_{code}', level, numbers, topic)
 
 
-def _listed(counts: Mapping[str, int]) -> str:
+class Status(NamedTuple):
+    """One line of the diagnostics."""
+
+    name: str
+    finding: Finding
+    values: dict[str, str]
+
+    @property
+    def level(self) -> Level:
+        """Level of the finding."""
+        return self.finding.level
+
+    @property
+    def message(self) -> str:
+        """Sentences of the finding."""
+        return findings.text(self.finding)
+
+    def at_level(self, level: Level) -> 'Status':
+        """Return the line with another level."""
+        return self._replace(finding=self.finding._replace(level=level))
+
+
+class InputReport(NamedTuple):
+    """Statistics of one input since the last report."""
+
+    topic: str
+    publishers: int
+    mismatch: Finding | None
+    """QoS setting, type or frame that is incompatible with a publisher."""
+    messages: int
+    intervals: Array
+    """Times between arrivals, s."""
+    ages: Array
+    """Arrivals minus stamps on the node's clock, s; NaN without stamps."""
+    silent: float
+    """Time since the last message, s; infinite before the first."""
+    refused: Mapping[str, int]
+    """Counts since the last report."""
+    total_refused: Mapping[str, int]
+    """Counts since the start."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate; NaN for too few messages."""
+        mean = float(self.intervals.mean()) if len(self.intervals) else 0.0
+        return 1.0 / mean if mean > 0.0 else math.nan
+
+    @property
+    def values(self) -> dict[str, str]:
+        """Numbers for the diagnostics."""
+        jitter = float(self.intervals.std()) if len(self.intervals) else 0.0
+        return {
+            'topic': self.topic, 'publishers': str(self.publishers),
+            'rate (Hz)': number(self.rate_hz), 'jitter (s)': number(jitter),
+            **quantiles('age {} (s)', self.ages), 'silent for (s)': number(self.silent),
+            **{f'refused: {reason}': str(count) for reason, count in self.total_refused.items()}}
+
+    def refusal(self, level: Level, code: str = 'refused', **numbers: Any) -> Finding:
+        """Return the finding on rejected messages since the last report."""
+        return fact(code, level, self.topic, refused=sum(self.refused.values()),
+                    messages=self.messages, reasons=listed(self.refused), **numbers)
+
+
+def listed(counts: Mapping[str, int]) -> str:
     """Return counts in words."""
     return ', '.join(
         f'{count} x {REASONS.get(reason, reason)}' for reason, count in counts.items() if count)
 
 
-def _refusals(report: InputReport) -> str:
-    """Return numbers and reasons of rejected messages since the last report."""
-    refused = sum(report.refused.values())
-    return f'{refused} of {report.messages} messages refused: {_listed(report.refused)}'
-
-
-def _first(*cases: tuple[object, Level, str]) -> tuple[Level, str]:
-    """Return level and message of the first case that applies."""
-    return next((level, message) for applies, level, message in cases if applies)
-
-
 def input_status(name: str, report: InputReport, optional: bool = False) -> Status:
     """Return the status of an input, which may be absent if optional."""
-    topic, rate, age, silent = report.topic, report.rate_hz, report.age['p50'], report.silent
-    worst = Level.WARN if optional else Level.ERROR
-    refused = sum(report.refused.values())
-    since = f'for {silent:.1f} s' if math.isfinite(silent) else 'so far'
-    level, message = _first(
-        (refused >= report.messages, worst, f'{_refusals(report)}.'),
-        (refused, Level.WARN, f'{_refusals(report)}.'),
-        (report.mismatch, Level.WARN, report.mismatch),
-        (age > MAX_AGE, Level.WARN, say('inputs.behind', seconds=age)),
-        (age < -MAX_AGE, Level.WARN, say('inputs.ahead', seconds=-age)),
-        (math.isfinite(rate), Level.OK, f'{rate:.4g} Hz.'),
-        (True, Level.OK, 'A single message.')) if report.messages else _first(
-        (report.mismatch, worst, report.mismatch),
-        (report.publishers, worst, say('inputs.silent', topic=topic, since=since)),
-        (optional, Level.OK, say('inputs.estimated', topic=topic)),
-        (True, worst, say('inputs.absent', topic=topic)))
-    return Status(name, level, message, _values(report))
+    worst, topic = Level.WARN if optional else Level.ERROR, report.topic
+    refused, age = sum(report.refused.values()), float(np.median(report.ages)) if len(
+        report.ages) else math.nan
+    if refused and report.messages:
+        found = report.refusal(worst if refused >= report.messages else Level.WARN)
+    elif report.mismatch:
+        found = report.mismatch._replace(level=Level.WARN if report.messages else worst)
+    elif report.messages and abs(age) > MAX_AGE:
+        found = fact('behind' if age > 0.0 else 'ahead', seconds=abs(age))
+    elif report.messages:
+        found = fact('rate', Level.OK, rate=report.rate_hz)
+    elif report.publishers:
+        found = fact('silent' if math.isfinite(report.silent) else 'silent_so_far', worst, topic,
+                     seconds=report.silent)
+    else:
+        found = fact('estimated' if optional else 'absent',
+                     Level.OK if optional else worst, topic)
+    return Status(name, found, report.values)
 
 
 def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> Status:
     """Return the status of the twists, with the number of recent poses without one."""
     status = input_status(name, report, optional=True)
-    rare = 2 * report.messages <= poses
-    if status.level > Level.OK or rare or 2 * unpaired <= poses:
+    if status.level > Level.OK or 2 * report.messages <= poses or 2 * unpaired <= poses:
         return status
-    return status._replace(
-        level=Level.WARN, message=say('inputs.unpaired', unpaired=unpaired, poses=poses))
+    return status._replace(finding=fact('unpaired', unpaired=unpaired, poses=poses))
 
 
 def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
@@ -197,85 +171,78 @@ def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> 
     """
     worst = Level.WARN if held else Level.ERROR  # without a held package nothing is predicted
     state, topic = f'the package counts as {"" if held else "not "}held', report.topic
-    level, message = _first(
-        (report.mismatch, worst, report.mismatch),
-        (not report.publishers, worst, say('inputs.no_vacuum', topic=topic, state=state)),
-        (any(report.refused.values()), worst,
-         f'{_refusals(report)}; {state}. {say("inputs.pressure", topic=topic)}'),
-        (math.isinf(report.silent), Level.WARN, f'No message on {topic} so far: {state}.'),
-        (not (report.messages or latched), worst,
-         f'{topic} has been silent for {report.silent:.1f} s: {state}.'),
-        (True, Level.OK, 'Held.' if held else 'Not held.'))
-    return Status(name, level, message, _values(report) | {'held': str(held).lower()})
+    if report.mismatch:
+        found = report.mismatch._replace(level=worst)
+    elif not report.publishers:
+        found = fact('no_vacuum', worst, topic, state=state)
+    elif any(report.refused.values()):
+        found = report.refusal(worst, 'pressure_refused', state=state)
+    elif math.isinf(report.silent):
+        found = fact('vacuum_silent_so_far', Level.WARN, topic, state=state)
+    elif not (report.messages or latched):
+        found = fact('vacuum_silent', worst, topic, seconds=report.silent, state=state)
+    else:
+        found = fact('held' if held else 'not_held', Level.OK)
+    return Status(name, found, report.values | {'held': str(held).lower()})
 
 
-def prediction_status(
-    name: str, state: str, phase: str, cup: str, compute: Array, counts: Mapping[str, int],
-    restarts: Mapping[str, int], twist_verdict: str, has_covariance: bool, above: bool,
-) -> Status:
+def prediction_finding(
+    state: str, phase: str, restarts: Mapping[str, int], twists_fit: bool, has_covariance: bool,
+    above: bool,
+) -> Finding:
     """
-    Return the status of the prediction since the last report.
+    Return the finding on the prediction since the last report.
 
     Parameters
     ----------
-    name : str
-        Name of the line.
     state : str
         Lifecycle state, 'active' or another one.
-    phase, cup, twist_verdict : str
-        Results of `LivePredictor.phase` and `ToolMotion.verdict`, and the cup in use.
-    compute : array
-        Time from each message's arrival until the publication of its predictions, s.
-    counts, restarts : mapping of str to int
-        Counts since the start, and since the last report.
-    has_covariance, above : bool
-        Whether the odometry has a covariance; whether z of the tool points down, with the package
-        above it.
+    phase : str
+        Result of `LivePredictor.phase`.
+    restarts : mapping of str to int
+        Counts since the last report.
+    twists_fit, has_covariance, above : bool
+        Whether the twists fit the poses; whether the odometry has a covariance; whether z of the
+        tool points down, with the package above it.
 
     """
-    failures, reasons, said = restarts.get('failure'), _listed(restarts), texts('live')
-    level, message = _first(
-        (state != 'active', Level.OK, f'{state.capitalize()}: nothing is published.'),
-        (restarts.get('no_equilibrium'), Level.ERROR, say('faults.no_equilibrium')),
-        (failures, Level.ERROR,
-         f'{failures} callbacks failed, a fault of this node. Report its log.'),
-        (phase == 'lost', Level.ERROR, say('phases.lost')),
-        (above, Level.ERROR, say('faults.above')),
-        (reasons, Level.WARN, f'Started again from static equilibrium: {reasons}.'),
-        (phase in ('coasting', 'settling'), Level.WARN, said.get(f'phases.{phase}', '')),
-        (f'twists.{twist_verdict}' in said, Level.WARN,
-         said.get(f'twists.{twist_verdict}', '')),
-        (not has_covariance, Level.WARN, say('faults.no_covariance')),
-        (True, Level.OK, said.get(f'phases.{phase}', 'Predicting.')))
-    return Status(name, level, message, {
-        'lifecycle': state, 'phase': phase, 'cup': cup,
-        **{f'compute time {which} (us)': number(1e6 * seconds)
-           for which, seconds in quantiles(compute).items()},
-        'twists against poses': twist_verdict,
-        **{name: str(count) for name, count in counts.items()}})
+    if state != 'active':
+        return fact('not_active', Level.OK, state=state.capitalize())
+    for code, applies, level in (
+            ('no_equilibrium', restarts.get('no_equilibrium'), Level.ERROR),
+            ('failed', restarts.get('failure'), Level.ERROR),
+            ('lost', phase == 'lost', Level.ERROR), ('above', above, Level.ERROR),
+            ('restarted', any(restarts.values()), Level.WARN),
+            ('coasting', phase == 'coasting', Level.WARN),
+            ('settling', phase == 'settling', Level.WARN),
+            ('twists', not twists_fit, Level.WARN),
+            ('covariance', not has_covariance, Level.WARN)):
+        if applies:
+            return fact(code, level, failures=restarts.get('failure', 0), reasons=listed(restarts))
+    return fact(phase, Level.OK)
 
 
-def load_status(
-    name: str, load: Load, safety: Safety | None, excess: Distance | None, bending: float
-) -> Status:
-    """Return the status of the cup's load, from the results of its `reset`."""
-    factor, mode = safety or Safety(math.nan, 'nothing')
-    has_grip, required = load.grip is not None, load.required
+def load_status(name: str, load: Load) -> Status:
+    """Return the status of the cup's load since the last report, and reset it."""
+    safety, excess, bending = load.reset()
+    factor, mode = safety or (math.nan, 'nothing')
     values = {
-        'safety factor': number(factor) if has_grip else 'not known',
-        'limited by': mode,
+        'safety factor': number(factor) if load.grip else 'not known', 'limited by': mode,
         'distance from envelope': number(
             excess.value if excess else math.nan) if load.has_envelope else 'not known',
         'largest bending (degrees)': number(math.degrees(bending))}
-    unsafe = partial(say, 'faults.unsafe', factor=factor, mode=mode)
-    return Status(name, *_first(
-        (factor < min(required, 1.0), Level.ERROR, unsafe(limit='1: the cup lets go')),
-        (factor < required, Level.WARN, unsafe(limit=f'safety.least, {required:g}')),
-        (bending > FLAT_MOMENT_BENDING, Level.WARN, say('faults.bending', bending=bending)),
-        (excess and excess.outside, Level.WARN, excess.text if excess else ''),
-        (not (has_grip or load.has_envelope), Level.OK, say('faults.no_limits')),
-        (safety is None and excess is None, Level.OK, 'No load: no package is held.'),
-        (True, Level.OK, 'Within all known limits.')), values)
+    if factor < load.required:
+        found = fact('lets_go' if factor < 1.0 else 'unsafe', Level.ERROR if factor < min(
+            load.required, 1.0) else Level.WARN, factor=factor, mode=mode, least=load.required)
+    elif bending > FLAT_MOMENT_BENDING:
+        found = fact('bending', bending=bending)
+    elif excess and excess.outside:
+        found = fact('outside', text=excess.text)
+    elif not (load.grip or load.has_envelope):
+        found = fact('no_limits', Level.OK)
+    else:
+        found = fact('within' if safety or excess else 'no_load', Level.OK)
+    return Status(name, found, values)
 
 
 def summary(live: LivePredictor) -> str:
