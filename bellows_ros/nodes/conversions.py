@@ -29,6 +29,9 @@ TOOL_POSES: Mapping[str, type] = {
     'pose_with_covariance': geometry.PoseWithCovarianceStamped, 'odometry': Odometry}
 """Message types by the parameters tool_pose.type and measured.type; all begin with a pose."""
 
+MAX_NUMBER = 1e6
+"""Bound of all numbers of poses, twists and wrenches: ten times a large one in mm, N or N mm."""
+
 vector: Callable[[Any], Vector] = attrgetter('x', 'y', 'z')
 """Conversion of a Point or Vector3 to a tuple."""
 
@@ -52,15 +55,18 @@ def reader(kind: type) -> Callable[[bytes], Decoded]:
     Return a function that decodes messages of a type.
 
     ROS converts encodings other than plain little-endian CDR (big-endian, XCDR2) first. A damaged
-    message has the stamp `NO_STAMP`, which the predictor rejects and counts.
+    message has the stamp `NO_STAMP`, and numbers beyond `MAX_NUMBER` become NaN: the predictor
+    rejects and counts both.
     """
     name = type_name(kind)
     decode, layout = Decoder(name), messages.LAYOUTS[name]
-    damaged = NO_STAMP, ('',) * layout.strings, (math.nan,) * layout.doubles
+    unknown = (math.nan,) * layout.doubles
+    damaged = NO_STAMP, ('',) * layout.strings, unknown
 
     def read(data: bytes) -> Decoded:
         if decoded := decode(data):
-            return decoded
+            is_bounded = max(map(abs, decoded[2][:7])) < MAX_NUMBER  # without covariances
+            return decoded if is_bounded else (*decoded[:2], unknown)
         with suppress(Exception):  # of the middleware, or for a string that is not UTF-8
             return decode(serialize_message(deserialize_message(data, kind))) or damaged
         return damaged

@@ -310,18 +310,10 @@ class Observing:
         self._reported, self._tag, self._no_view = 0, TagCamera(), Counter[str]()
         self._child_frame = pipeline.values.measured.child_frame.lstrip('/')
         if kind == 'tf':
-            if not self._child_frame:
-                raise BellowsError(
-                    'measured.type is tf, but measured.child_frame is not set. Set it to the '
-                    'frame of the tag on /tf, such as tag36h11:7.')
             self._measured_in = SensorInput(
                 node, optional_type(TRANSFORMS, 'measured.type is tf', 'package/measured'), '/tf',
                 self._on_transforms, self._on_publishers)
         elif kind == 'detections':
-            if not pipeline.values.measured.tag_size:
-                raise BellowsError(
-                    'measured.type is detections, but measured.tag_size is not set. Set it to '
-                    'the side of the black square of the tag, in m.')
             self._measured_in = SensorInput(
                 node, optional_type(DETECTIONS, 'measured.type is detections', 'package/measured'),
                 'package/measured', self._on_detections, self._on_publishers)

@@ -12,7 +12,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from .conftest import break_always, break_once, ERROR, Listener, MS, PACKAGE, set_on, START
+from .conftest import break_always, break_once, ERROR, Listener, MS, PACKAGE, START
 
 
 @pytest.fixture
@@ -132,33 +132,3 @@ def test_a_fault_of_work_aside_does_not_touch_the_prediction(partner):
     assert sum(predictor.failures.values()) == 1
     pipeline = predictor.pipeline
     assert pipeline.latest is not None and not pipeline.live.restarts['failure']
-
-
-def test_another_fault_of_the_same_line_is_logged(make_predictor, monkeypatch, capfd):
-    """Log bad quaternions though a silent topic, which is as bad, has just been logged."""
-    monkeypatch.setattr(predictor_node, 'LOG_DELAY', 0.0)
-    predictor = make_predictor()
-    for _ in range(2):
-        predictor.diagnostics.report()
-    for k in range(3):
-        predictor.pipeline.process_pose(
-            START + k * MS, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 3.0))
-    for _ in range(2):
-        predictor.diagnostics.report()
-    log = capfd.readouterr().err
-    assert 'Listens to /tool_arm/pose and /tool_arm/twist, publishes /package/pose.' in log
-    assert log.count('Nobody publishes /tool_arm/pose') == 1
-    assert log.count('quaternion not of unit length') == 1
-
-
-@pytest.mark.parametrize('live', [False, True])
-def test_an_envelope_without_a_mass_is_watched(live, make_partner):
-    """Judge what is known, and not the mass, of which nothing is."""
-    given = {} if live else {'envelope.rates': [0.1] * 6}
-    partner = make_partner({**PACKAGE, **given}, with_twists=False)
-    partner.predict(START)
-    if live:
-        set_on(partner.predictor, 'envelope.deflection_low', [-0.01] * 6)
-    load = partner.predictor.pipeline.load
-    partner.wait(lambda: load.has_envelope and load._distance is not None)
-    assert not partner.predictor.failures

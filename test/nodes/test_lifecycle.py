@@ -15,7 +15,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from .conftest import LATCHED, MS, PACKAGE, Peer, pose_at, set_on, START
+from .conftest import MS, PACKAGE, Peer, pose_at, set_on, START
 
 ALL = {'package/pose': PoseStamped, 'package/twist': TwistStamped, 'package/odometry': Odometry,
        'cup/wrench': WrenchStamped, 'cup/deflection': PoseStamped, 'package/markers': MarkerArray}
@@ -124,14 +124,6 @@ def test_failed_configuration_leaves_no_parts(make_predictor, manager):
         make_predictor({**PACKAGE, override: 'nonsense'})
 
 
-def test_shutdown_while_active(node, manager):
-    """Fall silent for good."""
-    assert manager.hears_all()
-    assert manager.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
-    assert manager.state() == 'finalized'
-    manager.wait(lambda: not manager.node.count_publishers('/package/pose'))
-
-
 def test_package_is_attached_and_detached(node, manager):
     """Predict only while it is attached, and say so."""
     assert manager.hears_all()
@@ -159,20 +151,6 @@ def test_vacuum_attaches_and_detaches(signal, make_predictor, manager):
         writer.publish(Bool(data=held) if signal == 'bool' else FluidPressure(
             fluid_pressure=30e3 if held else 101e3))
         manager.wait(lambda held=held: node.pipeline.live.attached is held)
-    assert manager.hears_all()
-
-
-def test_vacuum_that_came_before_the_node_was_active_counts(make_predictor, manager):
-    """Take a switch that speaks only when it changes at its last word, by an override."""
-    manager.writes(Bool, 'vacuum/held', LATCHED).publish(Bool(data=True))
-    of_switch = 'qos_overrides./vacuum/held.subscription'
-    node = make_predictor({
-        **PACKAGE, 'vacuum.signal': 'bool', 'autostart': False,
-        f'{of_switch}.reliability': 'reliable', f'{of_switch}.durability': 'transient_local'})
-    assert manager.change(Transition.TRANSITION_CONFIGURE)
-    manager.wait(lambda: node.pipeline.live.state == 'gripped')
-    assert manager.change(Transition.TRANSITION_ACTIVATE)
-    assert node.pipeline.live.attached
     assert manager.hears_all()
 
 

@@ -28,6 +28,9 @@ AMBIENT_IN = (('in_bar', 0.8, 1.1), ('in_kpa', 80.0, 110.0), ('in_mbar', 800.0, 
 GLITCHES = 3
 """Number of consecutive impossible pressures after possible ones that indicate another unit."""
 
+SMALLEST_TAG = 1e-3
+"""Smallest side of a detected tag, m: ten pixels of a camera 10 mm away."""
+
 ALL = -1
 """Index that stands for all cups of a gripper."""
 
@@ -285,6 +288,16 @@ def check_live(values: Values) -> None:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '
             'seven numbers, from the file that bellows identify wrote.')
+    measured = values.measured
+    if measured.type == 'tf' and not measured.child_frame.strip('/'):
+        raise BellowsError(
+            'measured.type is tf, but measured.child_frame is not set. Set it to the frame of the '
+            'tag on /tf, such as tag36h11:7.')
+    if measured.type == 'detections' and measured.tag_size < SMALLEST_TAG:
+        raise BellowsError(
+            f'measured.type is detections, but measured.tag_size is {measured.tag_size:g} m; '
+            f'expected at least {SMALLEST_TAG:g}. Set it to the side of the black square of the '
+            'tag, in m.')
     cup, package = conversion.cup_of(values), conversion.package_of(values)
     payload = LivePayload(cup, package, conversion.gravity_of(values))
     model = payload.model

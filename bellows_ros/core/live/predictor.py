@@ -67,6 +67,9 @@ UNSAFE_DURATION_NS = 1_000_000_000
 PROVEN_NS = 500_000_000
 """Duration of uninterrupted prediction before `is_ok` is true, ns."""
 
+MAX_AHEAD_NS = 50_000_000
+"""Longest lead of a wrench before the newest pose of the tool, ns: some periods of slow poses."""
+
 SEEN_AGAIN = 3
 """Number of used poses that indicate the next package, without vacuum and valve."""
 
@@ -651,6 +654,8 @@ class LivePredictor:
             return 'nan'
         if self._observing() is None:
             return 'not_held'
+        if stamp_ns - self.newest_ns > MAX_AHEAD_NS:
+            return 'future_stamp'
         in_world = bool(frame_id) and frame_id == self.frame_id
         refused = self.package.feel(stamp_ns, (force, moment), in_world)
         self._note_alarms()

@@ -23,6 +23,9 @@ PACKAGE_PARAMETERS = ('package.mass', 'package.inertia', 'package.com')
 RECORDING_PARAMETERS = ('recording.package_frame', *PACKAGE_PARAMETERS)
 """Parameters required to read a recording."""
 
+MAX_PLACE = 1e3
+"""Bound of the metres of a pose: in any cell, larger ones are millimetres."""
+
 WRITTEN_UNIT_TOLERANCE = 1e-3
 """Tolerance of the length of a quaternion written with few digits."""
 
@@ -174,7 +177,7 @@ def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
     except (TypeError, ValueError):
         pose = np.empty(0)
     length = float(np.linalg.norm(pose[3:]))
-    if pose.shape != (7,) or not np.isfinite(pose).all() or (
+    if pose.shape != (7,) or not (np.abs(pose) < MAX_PLACE).all() or (
             abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE):
         raise BellowsError(
             f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
