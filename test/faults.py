@@ -13,6 +13,7 @@ import argparse
 from collections import Counter
 import time
 
+from bellows_ros.core.findings import Level
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import RecordedPoses
@@ -74,8 +75,9 @@ def before_a_fit(recording, length):
         recording.tool_pose, recording.package_pose, recording.settings.R_world_recorded,
         recording.payload, twist=recording.tool_twist)
     found = *recording.report.remarks, *pose_remarks(poses)
-    wrong = [own.code for own in found if own.prevents]
-    return wrong or [own.code for own in recording_remarks(recording, length) if own.prevents]
+    wrong = [own.code for own in found if own.level == Level.ERROR]
+    return wrong or [own.code for own in recording_remarks(recording, length)
+                     if own.level == Level.ERROR]
 
 
 def of_one(named, cause):

@@ -24,7 +24,6 @@ from bellows_ros.core.identification.samples import (
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.alignment import FIT
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures
@@ -125,7 +124,7 @@ def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['
 def _require_no_faults(parts: Sequence[AnyRecording], values: Values, more: str = '') -> None:
     """Raise for recordings with faults that make a cup wrong."""
     for part in parts:
-        reading.require_none(reduced(part, values.cup.length).remarks, FIT, more)
+        reading.require_none(reduced(part, values.cup.length).remarks, 'fit', more)
 
 
 def resolved(settings: Mapping[str, Any]) -> Values:

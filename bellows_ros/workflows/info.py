@@ -18,7 +18,6 @@ from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording import alignment, preparation, recording
-from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import (
@@ -44,8 +43,6 @@ from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import within_interval
 import numpy as np
-
-AnyFinding = Finding | Remark
 
 MIN_HOLD = 4.0
 """Shortest hold in which creep of rubber is observable, s."""
@@ -116,7 +113,7 @@ class TopicInfo(NamedTuple):
     motion : mapping of str to list of 3 floats
         Range of the coordinates of 'position' (m) and of 'rotation', the rotation vector (rad)
         from the start, in recorded axes.
-    remarks : tuple of Remark
+    remarks : tuple of Finding
         Findings for an identification from these poses.
 
     """
@@ -136,7 +133,7 @@ class TopicInfo(NamedTuple):
     outliers: int = 0
     noise: Mapping[str, list[float]] = MappingProxyType({})
     motion: Mapping[str, list[float]] = MappingProxyType({})
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Finding, ...] = ()
 
 
 class Guess(NamedTuple):
@@ -210,7 +207,7 @@ class Info(NamedTuple):
     twist: Guess | None
     rest_s: float | None
     settings: Mapping[str, Any]
-    findings: tuple[AnyFinding, ...]
+    findings: tuple[Finding, ...]
 
     @property
     def valve(self) -> str:
@@ -318,7 +315,7 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
 
 def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
-    twists: Mapping[str, TwistStream], span: Mapping[str, Any], findings: list[AnyFinding]
+    twists: Mapping[str, TwistStream], span: Mapping[str, Any], findings: list[Finding]
 ) -> Info:
     """Return the recording with roles, settings and findings."""
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
@@ -354,16 +351,16 @@ def _with_roles(
 
 def _both_bodies(
     pair: Pair | None, streams: Sequence[PoseStream], settings: dict[str, Any],
-    findings: list[AnyFinding]
-) -> tuple[float | None, list[AnyFinding]]:
+    findings: list[Finding]
+) -> tuple[float | None, list[Finding]]:
     """Add settings on both poses; return the initial rest (s), and findings."""
     rest_s, (tool, package) = None, streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
     remarked = pose_remarks(RecordedPoses(tool, package, R))
     found = [remark for remark in remarked if remark.code != 'tool_z']  # has a setting
-    is_wrong = any(each.prevents for each in found)
+    is_wrong = any(each.level == Level.ERROR for each in found)
     separate = None if is_wrong else _why_separate(pair, tool, package)
-    more: list[AnyFinding] = [separate] if separate else []
+    more: list[Finding] = [separate] if separate else []
     if separate:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
@@ -376,9 +373,9 @@ def _both_bodies(
         rest_s, at_rest, of_rest = _initial_rest(pair, tool, package, bool(separate))
         settings |= at_rest
         more += of_rest
-    if not (separate or any(each.prevents for each in remarked)):
+    if not (separate or any(each.level == Level.ERROR for each in remarked)):
         found += _prepared_remarks(tool, package, settings)
-    if wrong := [each for each in found if each.prevents]:  # others are doubtful then
+    if wrong := [each for each in found if each.level == Level.ERROR]:  # others are doubtful then
         return rest_s, [*wrong]
     is_aligned = settings.get('recording.align_at_rest')
     outward = [remark for remark in remarked if remark.code == 'tool_z' and (
@@ -387,19 +384,18 @@ def _both_bodies(
     return rest_s, [*outward, *findings, *found, *more]
 
 
-def _of_tag(package: PoseStream) -> list[Remark]:
+def _of_tag(package: PoseStream) -> list[Finding]:
     """Return the remark on poses of a detected tag that are given as of a tracked body."""
     time, body = timing(package.stamps_ns), package.trajectory()
     outliers = find_outliers(body, time.longest_step_ns)
     found = sensor_remarks(body.select(outliers.good), time.rate_hz,
                            outliers.excursions / len(body), False, False)
-    return [remark._replace(numbers={**remark.numbers, 'topic': package.name})
-            for remark in found]
+    return [remark._replace(topic=package.name) for remark in found]
 
 
 def _prepared_remarks(
     tool: PoseStream, package: PoseStream, settings: Mapping[str, Any]
-) -> tuple[Remark, ...]:
+) -> tuple[Finding, ...]:
     """Return the remarks of the checks on the prepared recording, none if it is too short."""
     try:
         prepared = preparation.prepare(tool, package, recording.PrepareSettings(**{
@@ -429,7 +425,7 @@ def _why_separate(
 
 def _initial_rest(
     pair: Pair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
-) -> tuple[float, dict[str, Any], list[AnyFinding]]:
+) -> tuple[float, dict[str, Any], list[Finding]]:
     """
     Return the duration of the initial standstill, its settings, and findings.
 
@@ -443,7 +439,7 @@ def _initial_rest(
     aligned = rest.is_turned and not separate and bool(
         rest.tilts[0] > np.deg2rad(1.0) or rest.turned > np.deg2rad(10.0))
     numbers = {'distance': pair.distance, 'seconds': rest.seconds, 'least': MIN_HOLD}
-    findings: list[AnyFinding] = [Finding(code, Level.WARN, numbers) for code, applies in (
+    findings: list[Finding] = [Finding(code, Level.WARN, numbers) for code, applies in (
         ('start_distance', not separate), ('short_rest', rest.seconds < alignment.MIN_REST),
         ('no_hold', longest_hold(tool) < MIN_HOLD)) if applies]
     # 90 % of the standstill, to 0.1 s

@@ -19,7 +19,6 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
-from bellows_ros.core.recording.alignment import FIT, Remark, REPLAY
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
 from bellows_ros.core.recording.preparation import prepare
@@ -29,7 +28,7 @@ from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import bag_folder, detections, File, parameter_files
-from bellows_ros.report.findings import text
+from bellows_ros.report.findings import prevents, text
 import numpy as np
 
 Progress = Callable[..., None]
@@ -201,28 +200,26 @@ def checked(recording: Recording, length: float) -> Recording:
 
     """
     found = recording_remarks(recording, length)
-    require_none(found, REPLAY)
+    require_none(found, 'replay')
     return _with_sentences(replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found))), found)
 
 
-def _with_sentences(recording: Recording, remarks: Iterable[Remark]) -> Recording:
+def _with_sentences(recording: Recording, remarks: Iterable[Finding]) -> Recording:
     """Return a recording with sentences on remarks as warnings."""
     return replace(recording, report=replace(recording.report, warnings=(
         *recording.report.warnings, *remark_sentences(remarks))))
 
 
-def remark_sentences(remarks: Iterable[Remark]) -> tuple[str, ...]:
+def remark_sentences(remarks: Iterable[Finding]) -> tuple[str, ...]:
     """Return sentences on a recording."""
     return tuple(map(text, remarks))
 
 
-def require_none(remarks: Iterable[Remark], use: str, more: str = '') -> None:
-    """Raise for faults that prevent a use of a recording."""
-    prevented = (REPLAY,) if use == REPLAY else (FIT, REPLAY)
-    wrong = [remark for remark in remarks if remark.prevents in prevented]
-    if wrong:
-        error = BellowsError if any(each.prevents == REPLAY for each in wrong) else (
+def require_none(remarks: Iterable[Finding], use: str, more: str = '') -> None:
+    """Raise for faults that prevent a use of a recording, 'fit' or 'replay'."""
+    if wrong := [remark for remark in remarks if prevents(remark, use)]:
+        error = BellowsError if any(prevents(each, 'replay') for each in wrong) else (
             UnexplainedError)
         raise error(' '.join([
             *remark_sentences(wrong),
@@ -258,7 +255,7 @@ def _prepared(
             min(len(tool), len(package)) >= MIN_POSES) else ()
     found = tuple(remark for remark in found if remark.code != accepted)
     require_none([remark for remark in found if remark.code != 'tool_at_rest'],  # keeps its stamps
-                 FIT if registers else REPLAY)
+                 'fit' if registers else 'replay')
     recording = _joined(tool, package, twist, settings, values, registers)
     return replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found)))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+from bellows_ros.core.findings import Finding
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
@@ -85,7 +86,7 @@ def _registered(
         recording = with_tool_earlier(recording, float(offset))
         changes['time_offset'] = TimeOffset(rough_s + float(offset), float(std))
     elif values.fit.time_offset:
-        changes['remarks'] = (*recording.report.remarks, frames.Remark('no_offset', {}))
+        changes['remarks'] = (*recording.report.remarks, Finding('no_offset'))
     return replace(recording, report=replace(recording.report, **changes))
 
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.output_error import HELD_OUT
@@ -299,7 +299,7 @@ def verdict_of(
     tested = recordings[:MAX_TESTED]
     faults, sensors = (tuple(text for recording in tested for text in remark_sentences(
         filter(chosen, recording.report.remarks))) for chosen in (
-            attrgetter('prevents'), lambda remark: remark.code in SENSORS))
+            lambda remark: remark.level == Level.ERROR, lambda remark: remark.code in SENSORS))
     if not tested:
         return None
     package = tested[0].payload

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+from bellows_ros.core import findings
+from bellows_ros.core.findings import Level
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Finding, Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.conversion import tag_of
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.faults import recording_remarks
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.workflows import verdict
@@ -114,7 +115,7 @@ def test_what_a_fit_found_comes_after_nothing_but_facts():
     assert found.is_at_noise and found.causing == wrong
     recording = laboratory.recording()
     faulty = replace(recording, report=replace(recording.report, remarks=(
-        Remark('mass', {'mass': 1e3}, prevents='fit'),)))
+        findings.Finding('mass', Level.ERROR, {'mass': 1e3}),)))
     found = verdict.verdict_of(
         replace(made_for(laboratory), causes=wrong), [faulty], laboratory.length,
         parameters(laboratory))
@@ -164,4 +165,4 @@ def test_poses_of_another_kind_of_sensor_are_named(size, noise, camera_hz, named
     recording = replace(recording, settings=replace(recording.settings, tag=tag_of(
         parameters(laboratory).replaced({'measured.tag_size': size}))))
     found = recording_remarks(recording, laboratory.length)
-    assert [remark.code for remark in found if not remark.prevents] == named
+    assert [remark.code for remark in found if remark.level < Level.ERROR] == named

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import gravity_vector, Package, regressor
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.model.validity_range import Envelope
-from bellows_ros.core.recording.alignment import Remark
 from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.signals.savgol import BLOCK
@@ -200,7 +200,7 @@ class ReducedRecording(NamedTuple):
         Cup length l0 of the validity range, m.
     envelope : Envelope
         Its validity range.
-    remarks : tuple of Remark
+    remarks : tuple of Finding
         Findings of the preparation and of the checks.
 
     """
@@ -214,7 +214,7 @@ class ReducedRecording(NamedTuple):
     rate_hz: float
     cup_length: float
     envelope: Envelope
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Finding, ...] = ()
 
     @property
     def name(self) -> str:

@@ -12,11 +12,10 @@ If tool and package are tracked in two worlds, the package's poses are first tra
 frame of the tool's poses.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, MAX_GRID_SAMPLES, resample
@@ -24,36 +23,6 @@ from bellows_ros.core.signals.trajectory import at_tip, frozen, NS_PER_S, PoseSt
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
-
-FIT = 'fit'
-"""Use prevented by a fault that makes a cup wrong."""
-
-REPLAY = 'replay'
-"""Use prevented, as any fit, by a fault with which poses do not describe a package on a cup."""
-
-
-class Remark(NamedTuple):
-    """
-    A finding on a recording.
-
-    Parameters
-    ----------
-    code : str
-        Its name in the texts of the room 'recording'.
-    numbers : mapping
-        Sizes in SI units, and names.
-    body : str
-        Body in question: 'tool', 'package', 'both', or '' if unknown.
-    prevents : str
-        Use that it prevents: '' for none, `FIT`, or `REPLAY`.
-
-    """
-
-    code: str
-    numbers: Mapping[str, Any] = MappingProxyType({})
-    body: str = ''
-    prevents: str = ''
-
 
 DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in a world with z up."""
@@ -269,11 +238,11 @@ class Rest(NamedTuple):
                 and bool(self.turned > max(MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT * self.tilts[0])))
 
     @property
-    def remarks(self) -> tuple[Remark, ...]:
-        """Remark on the relative rotation of the marker frames, if it is large."""
+    def remarks(self) -> tuple[Finding, ...]:
+        """Finding on the relative rotation of the marker frames, if it is large."""
         tool, package = self.tilts
-        return (Remark('turned', {'tool': tool, 'package': package, 'turned': self.turned}),) * (
-            self.is_turned)
+        return (Finding('turned', Level.WARN, {
+            'tool': tool, 'package': package, 'turned': self.turned}),) * self.is_turned
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:

@@ -8,12 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.signals.trajectory import Trajectory
 import numpy as np
-
-from .alignment import Remark
 
 MAX_DISTANCE = 2.0
 """Largest distance of a package from the tool, m: ten times the longest cup with its package."""
@@ -109,7 +108,7 @@ def units_of(bodies: Bodies, one_frame: bool) -> tuple[bool, bool]:
                default=(0.0, (False, False)))[1]
 
 
-def best_correction(bodies: Bodies) -> Remark | None:
+def best_correction(bodies: Bodies) -> Finding | None:
     """Return the fault of quaternions whose correction makes the motion rigid, or None."""
     before, is_opposite = misfit(bodies), _correlation(bodies) < OPPOSITE
     limit = before if is_opposite else min(MAX_MISFIT_RATIO * before, MAX_MISFIT)
@@ -119,12 +118,12 @@ def best_correction(bodies: Bodies) -> Remark | None:
         own = misfit(both)
         is_less = own < MAX_MISFIT_RATIO * before or _is_righted(bodies, both)
         if is_less and own < SIMPLER * least:
-            found, least = Remark('quaternion_order', body=body), own
+            found, least = Finding('quaternion_order', Level.ERROR, topic=body), own
     least *= DECISIVE / SIMPLER
     for body, wrong in WRONG.items():
         own = misfit(changed(bodies, wrong, conjugated))
         if own < limit and own < SIMPLER * least and not (is_opposite and body == 'both'):
-            found, least = Remark('conjugated', body=body), own
+            found, least = Finding('conjugated', Level.ERROR, topic=body), own
     return found
 
 

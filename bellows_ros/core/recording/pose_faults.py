@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.model import structure
@@ -26,7 +27,6 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 from . import alignment, conventions
-from .alignment import Remark
 from .conventions import Bodies
 
 SAMPLES = 300
@@ -186,7 +186,7 @@ class RecordedPoses:
         return (('tool', self.tool, self.package), ('package', self.package, self.tool))
 
 
-def clock_steps(poses: RecordedPoses) -> Iterator[Remark]:
+def clock_steps(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield the steps of the clock that stamps a topic, or both topics, as by NTP."""
     start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
     of_tool, of_package = (
@@ -196,7 +196,7 @@ def clock_steps(poses: RecordedPoses) -> Iterator[Remark]:
     for body, steps in (('both', both), ('tool', of_tool), ('package', of_package)):
         for at, size in steps:
             if body == 'both' or _nearest((at, size), both) >= MAX_STEPS_APART:
-                yield Remark('clock_step' if body != 'both' else 'clock_steps', {
+                yield Finding('clock_step' if body != 'both' else 'clock_steps', Level.ERROR, {
                     'at': at, 'size': size, 'until': at + min(size, 0.0) - STEP_MARGIN,
                     'since': at + STEP_MARGIN}, body)
 
@@ -207,15 +207,15 @@ def _nearest(step: tuple[float, float], steps: Sequence[tuple[float, float]]) ->
                default=float('inf'))
 
 
-def frozen_orientations(poses: RecordedPoses) -> Iterator[Remark]:
+def frozen_orientations(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a rotation that stays while the body, and the other one, move."""
     for body, stream, other in poses.named:
         if (part := _frozen_part(stream)) > MIN_FROZEN_PART and (
                 body == 'package' or _deviation(other.trajectory())[3:].max() > MOVING[3]):
-            yield Remark('frozen_orientation', {'part': part}, body)
+            yield Finding('frozen_orientation', Level.ERROR, {'part': part}, body)
 
 
-def swapped_bodies(poses: RecordedPoses) -> Iterator[Remark]:
+def swapped_bodies(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield the times in which two bodies, one below the other, are exchanged, or are one."""
     if not (poses.one_frame and poses.bodies):
         return
@@ -239,7 +239,7 @@ def swapped_bodies(poses: RecordedPoses) -> Iterator[Remark]:
     start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
     spans = (eye.stamps_ns[np.stack([edges[:, 0], edges[:, 1] - 1], axis=1)] - start) / NS_PER_S
     for begin, end in spans[np.ptp(spans, axis=1) >= SWAPPED_SECONDS][:MAX_SWAPS].tolist():
-        yield Remark('swapped', {'begin': begin, 'end': end}, 'both')
+        yield Finding('swapped', Level.ERROR, {'begin': begin, 'end': end}, 'both')
 
 
 def _frozen_part(stream: PoseStream) -> float:
@@ -258,7 +258,7 @@ def _deviation(body: Trajectory) -> Array:
     return np.asarray(0.5 * np.subtract(*np.percentile(moved, (84, 16), axis=0)))
 
 
-def fixed_packages(poses: RecordedPoses) -> Iterator[Remark]:
+def fixed_packages(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a package that is fixed to its tool, or rests under a moving tool."""
     if poses.bodies is None:
         return
@@ -267,7 +267,7 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Remark]:
     moves = bool(np.any(tool_motion >= MOVING))
     noise = NOISE_DEVIATIONS * noise_of(package)
     if moves and np.all(package_motion < np.fmax(AT_REST, noise)):
-        yield Remark('package_at_rest', _sizes(package_motion), 'package')
+        yield Finding('package_at_rest', Level.ERROR, _sizes(package_motion), 'package')
         return
     relative = _relative_motion(poses, bodies)
     if relative is None or len(relative) < SAMPLES // 2:
@@ -279,7 +279,7 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Remark]:
     if is_seen and distance < conventions.MAX_DISTANCE and np.all(
             deviation < np.fmax(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
             noise < MOVING / 10.0):
-        yield Remark('one_body' if distance < 1e-3 else 'package_on_tool', {
+        yield Finding('one_body' if distance < 1e-3 else 'package_on_tool', Level.ERROR, {
             'distance': distance, **_sizes(deviation)}, 'package')
 
 
@@ -335,12 +335,12 @@ def noise_of(body: Trajectory, chosen: Mask | None = None) -> Array:
     return np.asarray(MAD_TO_STD * np.median(np.abs(change), axis=0) / DIFFERENCES_NORM)
 
 
-def wrong_conventions(poses: RecordedPoses) -> Iterator[Remark]:
+def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield wrong units, quaternion orders and inverse poses that explain non-rigid motion."""
     if poses.bodies is None:
         return
     units = conventions.units_of(poses.bodies, poses.one_frame)
-    yield from (Remark('millimetres', body=body) for body, is_wrong in zip(
+    yield from (Finding('millimetres', Level.ERROR, topic=body) for body, is_wrong in zip(
         ('tool', 'package'), units, strict=True) if is_wrong)
     if poses.one_frame:
         bodies = conventions.changed(poses.bodies, units, conventions.in_metres)
@@ -349,7 +349,7 @@ def wrong_conventions(poses: RecordedPoses) -> Iterator[Remark]:
         return
     plain, inverse = _similarities(poses.bodies)
     if inverse > MIN_SIMILARITY and 1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain):
-        yield Remark('inverse_rotation')
+        yield Finding('inverse_rotation', Level.ERROR, topic='both')
 
 
 def _similarities(bodies: Bodies) -> tuple[float, float]:
@@ -368,7 +368,7 @@ def _rigid_offset(tool: Trajectory, package: Trajectory, X: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A, b, rcond=1e-6)[0][3:])
 
 
-def exchanged_topics(poses: RecordedPoses) -> Iterator[Remark]:
+def exchanged_topics(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield topics of which the package is above the tool, in its axes and in the world."""
     if not (poses.one_frame and poses.bodies):
         return
@@ -378,14 +378,14 @@ def exchanged_topics(poses: RecordedPoses) -> Iterator[Remark]:
     upward = float(np.median(offset @ poses.R_world_recorded[2]))
     if np.median(np.linalg.norm(offset, axis=1)) < conventions.MAX_REACH and (
             min(in_tool, upward) > 0.0):
-        yield Remark('exchanged', {'in_tool': in_tool, 'upward': upward}, 'both')
+        yield Finding('exchanged', Level.ERROR, {'in_tool': in_tool, 'upward': upward}, 'both')
 
 
-def tool_z(poses: RecordedPoses) -> Iterator[Remark]:
+def tool_z(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a z axis of the tool that points down, out of the arm."""
     up, angle = tool_up(poses.tool.rotation, poses.R_world_recorded)
     if up < MAX_UP and not poses.aligned:
-        yield Remark('tool_z', {'angle': angle}, 'tool')
+        yield Finding('tool_z', Level.ERROR, {'angle': angle}, 'tool')
 
 
 def tool_up(rotation: Array, R: Array) -> tuple[float, float]:
@@ -394,43 +394,44 @@ def tool_up(rotation: Array, R: Array) -> tuple[float, float]:
     return up, float(np.arccos(np.clip(up, -1.0, 1.0)))
 
 
-def resting_tools(poses: RecordedPoses) -> Iterator[Remark]:
+def resting_tools(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a tool that rests throughout, so that its package does not swing."""
     body = poses.tool.trajectory()
     turned = lie.log_so3(body.rotation[len(body) // 2].T @ body.rotation)
     ranges = np.ptp(np.percentile(np.hstack([body.position, turned]), (1, 99), axis=0), axis=0)
     if np.all(ranges < np.fmax(AT_REST, NOISE_RANGE * noise_of(body))):
-        yield Remark('tool_at_rest', _sizes(ranges), 'tool')
+        yield Finding('tool_at_rest', Level.ERROR, _sizes(ranges), 'tool')
 
 
-def impossible_packages(poses: RecordedPoses) -> Iterator[Remark]:
+def impossible_packages(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a mass, an inertia or a centre of mass that no package of a cup has."""
     if poses.payload is None:
         return
     mass, com, moments = poses.payload.mass, poses.payload.com, np.diag(poses.payload.inertia)
     gyration = float(np.sqrt(np.sum(moments) / mass))
     if com[2] > MAX_COM_HEIGHT:
-        yield Remark('com_inside', {'height': float(com[2])})
+        yield Finding('com_inside', Level.ERROR, {'height': float(com[2])})
     if mass > structure.MAX_MASS:
-        yield Remark('mass', {'mass': mass})
+        yield Finding('mass', Level.ERROR, {'mass': mass})
     elif tuple(moments) == NO_INERTIA[:3]:
         return
     elif gyration > structure.GYRATION[-1]:
-        yield Remark('inertia', {'moments': moments.tolist(), 'unit': structure.unit_of_inertia(
-            gyration)})
+        yield Finding('inertia', Level.ERROR, {
+            'moments': moments.tolist(), 'unit': structure.unit_of_inertia(gyration)})
     elif sentence := structure.too_dense(mass, gyration):
-        yield Remark('too_dense', {'sentence': sentence})
+        yield Finding('too_dense', Level.ERROR, {'sentence': sentence})
 
 
-def wrong_twists(poses: RecordedPoses) -> Iterator[Remark]:
+def wrong_twists(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield the correct axes or unit of the tool's recorded twists, if not as given."""
     if poses.twist is None:
         return
     errors, in_degrees = twist_errors(poses.tool, poses.twist)
     if in_degrees:
-        yield Remark('twist_in_degrees', {'topic': poses.twist.name})
+        yield Finding('twist_in_degrees', Level.ERROR, topic=poses.twist.name)
     elif errors and errors[poses.twist_frame] > TWIST_TOLERANCE > min(errors.values()):
-        yield Remark('twist_frame', {'axes': min(errors, key=lambda axes: errors[axes])})
+        yield Finding('twist_frame', Level.ERROR, {
+            'axes': min(errors, key=lambda axes: errors[axes])})
 
 
 def twist_errors(tool: PoseStream, twist: TwistStream) -> tuple[dict[str, float], bool]:

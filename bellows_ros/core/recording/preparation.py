@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.signals import resampling, trajectory
@@ -24,7 +25,7 @@ from bellows_ros.core.signals.trajectory import (
 from bellows_ros.errors import BellowsError
 import numpy as np
 
-from .alignment import aligned_at_rest, Alignment, FIT, in_world, Remark, rest_of, standstill
+from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill
 from .outliers import (
     find_outliers,
     find_repeats,
@@ -249,40 +250,40 @@ def _shifted_alike(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> St
         len(stamps_ns))) + np.arange(len(stamps_ns))
 
 
-def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[Remark]:
+def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[Finding]:
     """Return remarks on the lateral offsets of the lip and of the centre of mass."""
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
-    return [Remark(code, {'aside': size}) for code, size, is_due in (
+    return [Finding(code, Level.WARN, {'aside': size}) for code, size, is_due in (
         ('aside', aside, aside > MAX_LATERAL_OFFSET),
         ('com_aside', lateral_com, settings.align_at_rest and lateral_com > MAX_LATERAL_COM))
         if is_due]
 
 
-def remarks_on(report: StreamReport) -> list[Remark]:
+def remarks_on(report: StreamReport) -> list[Finding]:
     """Return remarks on the poses of one topic, before or after a fit."""
     recorded, time, arrivals = report.recorded, report.timing, report.arrivals
-    topic = {'topic': recorded.name}
+    topic = recorded.name
     lasting = lasting_steps(report)
-    remarks = [Remark('step', {
-        **topic, 'shift': step.position, 'rotation': step.rotation,
-        'at': float(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S})
+    remarks = [Finding('step', Level.WARN, {
+        'shift': step.position, 'rotation': step.rotation,
+        'at': float(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S}, topic)
         for step in lasting]
     if len(lasting) > MAX_POSE_STEPS:
-        remarks = [Remark('steps', {
-            **topic, 'count': len(lasting), 'shift': max(step.position for step in lasting)})]
+        remarks = [Finding('steps', Level.WARN, {
+            'count': len(lasting), 'shift': max(step.position for step in lasting)}, topic)]
     if arrivals:
-        remarks.append(Remark('arrivals', {
-            **topic, 'replaced': arrivals.replaced, 'jitter': arrivals.jitter_s,
+        remarks.append(Finding('arrivals', Level.WARN, {
+            'replaced': arrivals.replaced, 'jitter': arrivals.jitter_s,
             'latest': arrivals.latest_s, 'position': float(arrivals.smoother[0]),
             'rotation': float(arrivals.smoother[1]), 'position_before': float(arrivals.rougher[0]),
-            'rotation_before': float(arrivals.rougher[1])}))
+            'rotation_before': float(arrivals.rougher[1])}, topic))
     elif _in_bursts(report):
-        return [Remark('bursts', topic, prevents=FIT), *remarks]
+        return [Finding('bursts', Level.ERROR, topic=topic), *remarks]
     good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     repeats = repeats_in_motion(recorded)
-    return remarks + [Remark(code, {**topic, **numbers}) for is_due, code, numbers in (
+    return remarks + [Finding(code, Level.WARN, numbers, topic) for is_due, code, numbers in (
         (travel > MAX_TRAVEL, 'travel', {'travel': travel}),
         (time.rate_hz < LOW_RATE_HZ, 'low_rate', {'rate': time.rate_hz, 'least': LOW_RATE_HZ}),
         (repeats > MAX_REPEAT_FRACTION * len(recorded), 'repeats', {'count': repeats}),

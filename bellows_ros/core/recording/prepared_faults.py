@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from operator import attrgetter
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply
@@ -20,7 +21,6 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 from . import alignment, conventions
-from .alignment import Remark
 from .pose_faults import noise_of
 from .preparation import lasting_steps, MAX_POSE_STEPS, prepare
 from .recording import LOW_RATE_HZ, Recording
@@ -117,7 +117,7 @@ def seems_tag(noise: Array, rate_hz: float, excursions: float) -> bool:
         or float(noise[2]) > TAG_DEPTH * lateral)
 
 
-def wrong_sensors(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+def wrong_sensors(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
     """Yield poses of a detected tag given as poses of a tracked body, or vice versa."""
     report, body = recording.report.package, recording.tracked_package
     yield from sensor_remarks(
@@ -128,20 +128,20 @@ def wrong_sensors(recording: Recording, length: float = THESIS_LENGTH) -> Iterat
 
 def sensor_remarks(
     body: Trajectory, rate_hz: float, excursions: float, is_tag: bool, has_corners: bool
-) -> Iterator[Remark]:
+) -> Iterator[Finding]:
     """Yield the fault of poses whose excursions contradict the stated sensor, a tag or a body."""
     noise = noise_of(body)
     sizes = {'rate': rate_hz, 'rotation': float(np.sqrt(np.mean(noise[3:]**2)))}
     if not np.isfinite(noise).all():
         return
     if not is_tag and seems_tag(noise, rate_hz, excursions):
-        yield Remark('tag_as_body', sizes, 'package')
+        yield Finding('tag_as_body', Level.WARN, sizes, 'package')
     elif is_tag and rate_hz > TAG_RATE_HZ and not has_corners and (
             not seems_tag(noise, 0.0, excursions)):
-        yield Remark('body_as_tag', sizes, 'package')
+        yield Finding('body_as_tag', Level.WARN, sizes, 'package')
 
 
-def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
     """Yield the reason why a package is mostly not below the tool."""
     tool, package, in_world = _arrangement(recording)
     if not len(tool):
@@ -160,13 +160,13 @@ def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[R
     if apart := [*_two_worlds(recording, tool, package, lip)]:
         yield from apart
     elif away > conventions.MAX_DISTANCE:
-        yield Remark('apart', {'away': away}, 'both')
+        yield Finding('apart', Level.ERROR, {'away': away}, 'both')
     elif above > 0.0:  # mostly: the package may have fallen
         centre = apply(back, package.position - tool.position)
         below, upward = (float(np.median(offset[:, 2])) for offset in (-centre, in_world))
-        yield Remark('package_frame', {'below': below, 'above': above}, 'package') if (
-            recording.settings.package_frame == 'com' and below > 0.0) else Remark(
-            'upside_down', {'above': above, 'below': -upward}, 'tool')
+        is_frame = recording.settings.package_frame == 'com' and below > 0.0
+        yield Finding('package_frame' if is_frame else 'upside_down', Level.ERROR, {
+            'above': above, 'below': below if is_frame else -upward})
 
 
 def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
@@ -179,7 +179,7 @@ def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
 
 def _two_worlds(
     recording: Recording, tool: Trajectory, package: Trajectory, lip: Array
-) -> Iterator[Remark]:
+) -> Iterator[Finding]:
     """Yield another world of the package if that reduces the lip's spread."""
     try:
         pose = alignment.closed_form(recording.measured_tool, recording.measured_package,
@@ -193,8 +193,9 @@ def _two_worlds(
     if after <= MAX_SPREAD_RATIO * before:
         body = recording.measured_package
         motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
-        yield Remark('package_world', {'motion': alignment.motion_sentence(motion),
-                                       'before': before, 'after': after}, 'package')
+        yield Finding('package_world', Level.ERROR, {
+            'motion': alignment.motion_sentence(motion), 'before': before, 'after': after},
+            'package')
 
 
 def _earlier(recording: Recording, seconds: float) -> Recording:
@@ -204,7 +205,7 @@ def _earlier(recording: Recording, seconds: float) -> Recording:
                    recording.settings, twist and earlier(twist, seconds))
 
 
-def wrong_length(recording: Recording, length: float) -> Iterator[Remark]:
+def wrong_length(recording: Recording, length: float) -> Iterator[Finding]:
     """Yield a distance of the lip below the tool that contradicts the cup's length (m)."""
     tool, _, in_world = _arrangement(recording)
     if not len(tool):
@@ -216,10 +217,10 @@ def wrong_length(recording: Recording, length: float) -> Iterator[Remark]:
     if not (is_frame or depth > MAX_LIP_DEPTH or abs(offset) < MIN_LENGTH_OFFSET + length * (
             1.0 if offset > 0.0 else 0.5) or np.hypot(x, y) + conventions.spread(below) > abs(
             offset)):
-        yield Remark('length', {'offset': abs(offset)})
+        yield Finding('length', Level.ERROR, {'offset': abs(offset)})
 
 
-def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
     """
     Yield the offset of the clocks, or its step, if the rotations of both bodies agree at lags.
 
@@ -236,9 +237,9 @@ def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterato
         for span in HALVES)
     if abs(after - before) > MAX_SWING - MIN_SWING and (
             _correlation_gap(whole, min(first_part, last_part)) > MIN_STEP_GAP):
-        yield Remark('clock_shift', body='both')
+        yield Finding('clock_shift', Level.ERROR, topic='both')
     elif late:
-        yield Remark('time_offset', {'late': late, 'offset': abs(late), 'side': (
+        yield Finding('time_offset', Level.ERROR, {'late': late, 'offset': abs(late), 'side': (
             'behind' if late > 0.0 else 'ahead of')}, 'tool')
 
 
@@ -264,11 +265,11 @@ def _correlation_gap(small: float, large: float) -> float:
     return float(np.subtract(*np.arctanh(np.minimum([large, small], 1.0 - 1e-12))))
 
 
-def low_pass(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+def low_pass(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
     """Yield low-pass filtered poses: their noise decays too steeply."""
     for body, poses in (('tool', recording.aligned_tool), ('package', recording.aligned_package)):
         if noise_order(poses) > MAX_NOISE_ORDER:
-            yield Remark('low_pass', {'above': NOISE_HZ}, body)
+            yield Finding('low_pass', Level.ERROR, {'above': NOISE_HZ}, body)
 
 
 def noise_order(poses: Trajectory) -> float:
@@ -295,7 +296,7 @@ def noise_order(poses: Trajectory) -> float:
     return -float(np.polyfit(np.log(hz[inside]), np.log(densities.mean(axis=0)), 1)[0])
 
 
-def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remark]:
+def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
     """Yield the largest of a few jumps without return, of package or marker."""
     stream = recording.report.package
     steps = lasting_steps(stream)
@@ -311,5 +312,5 @@ def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Remar
     elif stream.timing.rate_hz < LOW_RATE_HZ or any(
             step.position > TAIL_SHARE * largest.position for step in others):
         return  # the fit separates slips from tails
-    yield Remark(code, {
+    yield Finding(code, Level.ERROR, {
         'size': size, 'at': float(stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S}, 'package')

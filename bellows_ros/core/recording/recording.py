@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
+from bellows_ros.core.findings import Finding
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import (
     apply,
@@ -23,7 +24,6 @@ from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.recording.alignment import (
     Alignment,
     in_world,
-    Remark,
     rest_of,
     world_rotation,
 )
@@ -471,7 +471,7 @@ class Report:
     ----------
     tool, package : StreamReport
         Reports on the two topics.
-    remarks : tuple of Remark
+    remarks : tuple of Finding
         Facts on the poses and on their alignment.
     warnings : tuple of str
         Sentences of the remarks made by workflows, and notes on the files.
@@ -486,7 +486,7 @@ class Report:
 
     tool: StreamReport
     package: StreamReport
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Finding, ...] = ()
     warnings: tuple[str, ...] = ()
     time_offset: TimeOffset | None = None
     package_world: PackageWorld | None = None

@@ -21,6 +21,7 @@ class Convention(NamedTuple):
     w_first: bool
 
 
+BODIES = {'/tool': 'tool', '/package': 'package', "/tool' and '/package": 'both'}
 ALL = [Convention(*own) for own in product((False, True), repeat=2)]
 
 
@@ -30,7 +31,7 @@ def remarks(*both):
 
 def faults(*both):
     """Return codes and bodies of the faults that are found."""
-    return {(found.code, found.body) for found in remarks(*both)}
+    return {(found.code, BODIES[found.topic]) for found in remarks(*both)}
 
 
 def expected(tool, package):
