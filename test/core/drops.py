@@ -14,7 +14,7 @@ G = 9.81
 SHARED = Path(__file__).parents[3] / 'shared' / 'release' / 'tue_five_masses.npz'
 
 
-def made_drop(mass, stiffness, length, seconds, tool, package, valve, noise=(1e-4, 5e-4)):
+def made_drop(mass, stiffness, length, seconds, tool, package, valve, noise=1e-4):
     """Return a drop from heights (N,) of tool and package at times (s), the lip on B."""
     def poses(z):
         return Trajectory(
@@ -27,15 +27,15 @@ def made_drop(mass, stiffness, length, seconds, tool, package, valve, noise=(1e-
     model = model_tuple(cup, Package(mass, 0.01 * np.eye(3), np.zeros(3)), G)
     still = poses(np.full(len(seconds), np.mean(tool)))
     return Drop(model, NO_GRIP, still, poses(np.asarray(package)),
-                rest(model, tool_rows(still)[0]), valve, noise, True)
+                rest(model, tool_rows(still)[0]), valve, noise)
 
 
 def simulated(mass, stiffness, length, law, seconds, valve):
     """Return the heights of a package dropped from a tool at 0, by the law in one dimension."""
-    delay, tau, _, blow_off, closing, opening, damping, sticking = law
+    delay, fall, closing, opening, damping, sticking = law
 
     def suction(t):
-        return (1.0 + blow_off) * np.exp(-(t - delay) / tau) - blow_off
+        return 1.0 - (t - delay) / fall
 
     def slope(t, y):
         x, v = y
@@ -43,7 +43,7 @@ def simulated(mass, stiffness, length, law, seconds, valve):
             closing * (max(0.0, x) / opening) ** 2) + damping * v
         return v, G - pull / mass
 
-    until = delay + tau * np.log((1.0 + blow_off) / (blow_off - sticking))
+    until = delay + fall * (1.0 + sticking)
     out = solve_ivp(slope, (delay, until), (mass * G / stiffness, 0.0), rtol=1e-9, atol=1e-12,
                     max_step=1e-3, dense_output=True)
     t = seconds - valve
@@ -91,7 +91,7 @@ def at_the_end(data, drops, law, factor):
     Return errors of height (m) and velocity (m/s) at the last sample, and their deviations.
 
     Each (N, 2), of drops whose valve is taken as it was recorded; the deviations are those of the
-    law with a factor (8, 8) of its covariance.
+    law with a factor (6, 6) of its covariance.
     """
     def end(numbers):
         return np.array([part[-1] for part in filtered(drops[0], tuple(numbers), 0.0)[:2]])

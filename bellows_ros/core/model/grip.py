@@ -31,19 +31,16 @@ are of the cup with the least suction; an array (n, 5) follows with the holding 
 MODES = ('peel', 'slip')
 """Failure modes of the grip; an elastic lip peels before it tips."""
 
-Box = tuple[Vector, Vector]
-"""Half the sides along x, y, z of B, and the centre in B, m."""
-
 RELEASE_NAMES = tuple(f'release.{name}' for name in (
-    'delay', 'tau', 'impulse', 'blow_off', 'closing', 'opening', 'damping', 'sticking'))
+    'delay', 'fall', 'closing', 'opening', 'damping', 'sticking'))
 """Parameters of the law of release, in the order of `Law`."""
 
-Law = tuple[float, float, float, float, float, float, float, float]
-"""Law of release: delay of the suction's fall (s), time constant tau of the fall (s), impulse of
-the blow-off (N s), blow-off b, closing force F0 of the bellows (N), stretch L at which open
-bellows pull with F0 (m, 0 for none), damping of the open bellows along z (N s/m, 0 for the cup's
-damping), and sticking of the lip. Blow-off and sticking are relative to the holding suction."""
-NO_LAW: Law = (0.0,) * 8
+Law = tuple[float, float, float, float, float, float]
+"""Law of release: delay of the suction's fall (s), time in which the suction falls to 0 (s), closing
+force F0 of the bellows (N), stretch L at which open bellows pull with F0 (m, 0 for none), damping of
+the open bellows along z (N s/m, 0 for the cup's damping), and sticking of the lip relative to the
+holding suction."""
+NO_LAW: Law = (0.0,) * 6
 """Law of a cup with immediate release."""
 
 
@@ -51,12 +48,13 @@ class Release(NamedTuple):
     """Data of valve, cup, package and floor."""
 
     law: Law
-    box: Box
+    half: Vector
+    """Half the sides of the package's box along x, y, z of B, m."""
     height: float
     """Height of the floor, from the world's origin against gravity, m."""
 
 
-NO_FLIGHT = Release(NO_LAW, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), math.inf)
+NO_FLIGHT = Release(NO_LAW, (0.0, 0.0, 0.0), math.inf)
 """Release of a package without a flight."""
 
 

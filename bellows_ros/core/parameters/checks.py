@@ -262,11 +262,11 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
 
 def require_correlation(numbers: Sequence[float]) -> None:
     """Raise BellowsError for numbers that are not correlations of the law of release."""
-    C = np.reshape(numbers, (8, 8))
+    C = np.reshape(numbers, (6, 6))
     if not (np.allclose(C, C.T, atol=1e-6) and np.allclose(np.diag(C), 1.0, atol=1e-6)
             and np.linalg.eigvalsh(C)[0] > -1e-3):
         raise BellowsError(
-            'release.correlation must be a symmetric and positive definite 8x8 matrix with 1 on '
+            'release.correlation must be a symmetric and positive definite 6x6 matrix with 1 on '
             'the diagonal, row-major. Take it from bellows identify --release, or leave it out.')
 
 

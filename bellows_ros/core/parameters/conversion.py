@@ -266,8 +266,7 @@ def release_of(values: Values) -> Release:
             f'package.size is {list(size)}; expected three sides above 0 m, since the landing '
             'depends on the corners. Set it, for example package.size: [0.3, 0.2, 0.15].')
     x, y, z = (0.5 * side for side in size)
-    a, b, c = values.package.size_center
-    return Release(release_law_of(values), ((x, y, z), (a, b, c)), values.landing.height)
+    return Release(release_law_of(values), (x, y, z), values.landing.height)
 
 
 def release_law_of(values: Values) -> Law:
@@ -281,9 +280,9 @@ def release_law_of(values: Values) -> Law:
 
     """
     law: Any = tuple(values[name] for name in RELEASE_NAMES)
-    if law[5] > 0.0 and not law[4] > 0.0:
+    if law[3] > 0.0 and not law[2] > 0.0:
         raise BellowsError(
-            f'release.closing is {law[4]:g} N, but release.opening {law[5]:g} m; expected a force '
+            f'release.closing is {law[2]:g} N, but release.opening {law[3]:g} m; expected a force '
             'above 0 with which the suction closes a cup that opens. Take both from bellows '
             'identify --release.')
     return law  # type: ignore[no-any-return]
@@ -291,18 +290,24 @@ def release_law_of(values: Values) -> Law:
 
 def release_factor(values: Values) -> Array:
     """
-    Return L (8, 8), where L L^T is the covariance of the law of release; unused rows are 0.
+    Return L (6, 6), where L L^T is the covariance of the law of release; unused rows are 0.
 
     Outside the masses (release.mass_range) of the fitted law, the covariance of the law is larger.
     """
-    std = np.array([values[f'{name}_std'] for name in RELEASE_NAMES])
-    std *= 1.0 + EXTRAPOLATION * beyond_masses(values)
+    std = np.array(values.release.std) * (1.0 + EXTRAPOLATION * beyond_masses(values))
     if not values.release.opening:
-        std[3:] = 0.0
-    C = np.reshape(values.release.correlation, (8, 8))
-    size, axes = np.linalg.eigh(C)  # rounded covariances may be indefinite
-    return np.asarray(std[:, None] * np.linalg.cholesky(
-        C if size[0] > 0.0 else (axes * np.maximum(size, 1e-9)) @ axes.T))
+        std[2:] = 0.0
+    size, axes = np.linalg.eigh(np.reshape(values.release.correlation, (6, 6)))
+    root = (axes * np.sqrt(np.maximum(size, 0.0))) @ axes.T  # rounded ones may be indefinite
+    return np.asarray(std[:, None] * root)
+
+
+def with_assumed_release(values: Values) -> Values:
+    """Return values with the law of a valve of unknown delay, 0 to `MAX_DELAY`, if not given."""
+    if any(release_law_of(values)) or any(values.release.std):
+        return values
+    return values.replaced({
+        'release.delay': 0.5 * MAX_DELAY, 'release.std': (MAX_DELAY / 12.0**0.5, *(0.0,) * 5)})
 
 
 def beyond_masses(values: Values) -> float:

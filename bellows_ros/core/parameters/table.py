@@ -139,7 +139,7 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
     'cup.stiffness': {'default': _diagonal(structure.THESIS_STIFFNESS)},
     'cup.damping': {'default': _diagonal(structure.THESIS_DAMPING)},
     'cup.relaxation_times': {'default': structure.RELAXATION_TIMES},
-    'release.correlation': {'default': _diagonal((1.0,) * 8)},
+    'release.correlation': {'default': _diagonal((1.0,) * 6)},
     'fit.structure': {
         'choices': structure.STRUCTURE_NAMES,
         'description': 'Form of K and P: ' + '; '.join([

@@ -164,12 +164,12 @@ class PlanSimulation:
         self.tool, self._model, self._grip = tool, model, grip
         self._rows = rows = simulation.tool_rows(tool)
         self._steady, self._tail = start is None, tail if simulation.stands(rows[-1, 7:]) else 0.0
-        self._start = self._end = adapted(
+        self.start = self._end = adapted(
             model, simulation.row_state(rows[0]), start or simulation.steady_start(model, tool))
         if self._tail:
             self._end = simulation.rest(model, rows[-1])
-        self._longest, self._stop = longest or largest_step(model), stop
-        simulation.require_steps(float(tool.seconds[-1]) / self._longest)
+        self.longest, self._stop = longest or largest_step(model), stop
+        simulation.require_steps(float(tool.seconds[-1]) / self.longest)
         self._inputs = as_inputs(rows, np.diff(tool.stamps_ns) / NS_PER_S)
 
     def with_model(self, model: ModelTuple) -> 'PlanSimulation':
@@ -177,7 +177,7 @@ class PlanSimulation:
         other = copy(self)
         other._model = model
         if self._steady:
-            other._start = simulation.steady_start(model, self.tool, self._start)
+            other.start = simulation.steady_start(model, self.tool, self.start)
         if self._tail:
             other._end = simulation.rest(model, self._rows[-1], self._end)
         return other
@@ -198,32 +198,34 @@ class PlanSimulation:
     def states(self) -> Array:
         """Predict along the plan, without the time after its end, and return (N, 13) rows of B."""
         self._simulate_plan(1.0, math.inf)
-        if not np.isfinite(self._samples[0]).all():
+        if not np.isfinite(self.samples[0]).all():
             raise simulation.diverged()
-        return self._samples[0].copy()
+        return self.samples[0][:, :13].copy()
 
     def prediction(self) -> PlanPrediction:
         """Return the whole prediction after `states`, including the time after the end."""
         settled = self._simulate_decay(math.inf)
         peaks, _, lip = self._extremes
-        return PlanPrediction(self.tool, *self._samples, peaks, settled, lip[:, :2], lip[:, 2],
+        states, *loads = self.samples
+        return PlanPrediction(self.tool, states[:, :13], *loads, peaks, settled, lip[:, :2], lip[:, 2],
                               self._grip, self._tail > 0.0)
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
         """Store states and loads along the plan; return whether all are below the ceiling."""
         n, no_sample = len(self._rows), np.full((len(PEAKS), 4), math.inf)
-        self._samples = np.empty((n, 13)), np.empty((n, 6)), np.empty((n, 2))
+        self.samples = (np.empty((n, simulation.row_length(self.start))), np.empty((n, 6)),
+                         np.empty((n, 2)))
         self._extremes = (np.zeros((len(PEAKS), 3)), no_sample,
                           np.tile([math.inf, -math.inf, 0.0], (6, 1)))
         self._body, self._seconds, below = self._run(
-            _simulate_plan, self._start, (*self._inputs, duration_scale), self._longest,
-            self._samples, (self._extremes, ceiling, self._stop))
+            _simulate_plan, self.start, (*self._inputs, duration_scale), self.longest,
+            self.samples, (self._extremes, ceiling, self._stop))
         return bool(below)
 
     def _simulate_decay(self, ceiling: float) -> float:
         """Continue after the end; return the time (s) until the package has settled."""
         # only the swing matters
-        h = max(self._longest, min(4e-3, COARSE_STEP_FACTOR * self._longest))
+        h = max(self.longest, min(4e-3, COARSE_STEP_FACTOR * self.longest))
         return float(self._run(
             _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
             self._seconds, (h, math.ceil(self._tail / h)),

@@ -14,12 +14,14 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.grip import Law, Release, RELEASE_NAMES
-from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.toss import release as toss_release
 from bellows_ros.core.toss.release import HeldMotion, Toss, toss
 from bellows_ros.errors import NoLandingError, NoReleaseError, UnstableError
 import numpy as np
 import scipy  # whose parts are loaded as they are used
+
+DRAWS = 200
+"""Number of drawn tosses: standard deviations to 5 %, an ellipse of 95 % that holds 94 to 95 %."""
 
 MARGIN = 0.25
 """Longest delay of the release by changed parameters after the nominal instant, s."""
@@ -30,34 +32,8 @@ TOLERANCE = 1e-6
 CANDIDATES = 8
 """Number of the best times in the scan that are refined."""
 
-SECOND_ORDER = 'release, second order'
-"""Name of the second-order contribution of the law of release."""
-
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % in a plane, standard deviations."""
-
-
-class Contributions(NamedTuple):
-    """Contributions of uncertain parameters to a landing."""
-
-    names: tuple[str, ...]
-    std: Array
-    """Standard deviation of each parameter (M,), SI units."""
-    parts: Array
-    """Derivative times standard deviation (M, 6), m and rad."""
-    correlation: Array
-    """Correlation of the parameters (M, M)."""
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of `landing_error` (6, 6)."""
-        return np.asarray(self.parts.T @ self.correlation @ self.parts)
-
-    def of(self, prefix: str) -> tuple[Array, Array]:
-        """Return joint standard deviations and covariance (6, 6) by parameters with a prefix."""
-        chosen = np.array([name.startswith(prefix) for name in self.names], bool)
-        part = self._replace(parts=self.parts * chosen[:, None])
-        return self.std[chosen], part.covariance
 
 
 class TossProblem(NamedTuple):
@@ -69,99 +45,81 @@ class TossProblem(NamedTuple):
     """Time of the valve, s since the first point of the plan."""
     uncertain: cup_package.Uncertain
     factor: Array
-    """L (8, 8) with the covariance L L^T of the law of release."""
+    """L (6, 6) with the covariance L L^T of the law of release."""
 
-    def error(self, thrown: Toss, nominal: Toss) -> Array:
-        """Return the deviation of a landing from a nominal one (6,), m and rad."""
-        return np.concatenate(toss_release.landing_error(
-            thrown.landing, nominal.landing, self.held.model[2]))
 
-    def error_with(self, model: ModelTuple, release: Release, nominal: Toss) -> Array:
-        """Return the landing's deviation for another model and release."""
-        held = HeldMotion(model, self.held.grip, self.held.tool,
-                          until=nominal.release_time + MARGIN)
-        return self.error(toss(held, release, self.switched), nominal)
+class Scatter(NamedTuple):
+    """Drawn landings, and the contributions of uncertain parameters to their scatter."""
+
+    errors: Array
+    """Deviations (N, 6) of the tosses with a landing from the nominal landing, m and rad."""
+    failed: int
+    """Number of tosses in which the cup loses the package, or does not release it."""
+    names: tuple[str, ...]
+    """Names of the uncertain parameters; correlated numbers of the law are 'release'."""
+    std: Array
+    """Standard deviations (M,), SI units; NaN for 'release'."""
+    parts: Array
+    """Deviations (M, 6) of the landing by one standard deviation, by a regression on the draws."""
+
+    @property
+    def covariance(self) -> Array:
+        """Mean square (6, 6) of the drawn landings about the nominal one."""
+        return np.asarray(self.errors.T @ self.errors / len(self.errors))
+
+    def of(self, prefix: str) -> tuple[Array, Array]:
+        """Return standard deviations and joint covariance (6, 6) by parameters with a prefix."""
+        chosen = np.array([name.startswith(prefix) for name in self.names], bool)
+        return self.std[chosen], self.parts[chosen].T @ self.parts[chosen]
 
 
 def release_with(release: Release, by: Array) -> Release:
-    """Return a release whose law is changed by (8,); see `changed_law`."""
-    return release._replace(law=toss_release.changed_law(release.law, 1.0, as_law(by)))
+    """Return a release whose law is changed by (6,), without negative numbers."""
+    return release._replace(law=as_law(np.maximum(np.add(release.law, by), 0.0)))
 
 
 def as_law(numbers: Array) -> Law:
-    """Return the law of release of eight numbers, in the order of `Law`."""
+    """Return the law of release of six numbers, in the order of `Law`."""
     law: Any = tuple(numbers.tolist())
     return law  # type: ignore[no-any-return]
 
 
-def contributions_to(case: TossProblem, nominal: Toss) -> Contributions:
+def scatter(case: TossProblem, nominal: Toss, count: int = DRAWS, seed: int = 0) -> Scatter:
     """
-    Return the contributions of cup, package and release, by differences as in `perturbed`.
+    Return landings of tosses with parameters drawn from their normal distributions.
 
-    The law of release has second-order effects: along each axis of its covariance, with a standard
-    normal z, the landing shifts by a z + b z^2, which has the mean b and the variance a^2 + 2 b^2.
+    Raises
+    ------
+    NoLandingError
+        If fewer than half of the tosses land.
+
     """
-    held, release, switched, numbers, factor = case
-    names, parts = cup_package.contributions(
-        numbers, held.model, lambda model: case.error_with(model, release, nominal))
-    std, count = [
-        numbers.std[cup_package.PARAMETER_NAMES.index(name)] for name in names], len(names)
-    of_law = np.linalg.norm(factor, axis=1)
-    uncertain, rows = np.flatnonzero(of_law), [parts.reshape(-1, 6)]
-
-    def both(by: Array) -> tuple[Array, Array]:
-        """Return the landings for a change of the law of release, and for the opposite change."""
-        up, down = (case.error(toss(held, release_with(release, step), switched), nominal)
-                    for step in (by, -by))
-        return up, down
-
-    for k in uncertain:
-        up, down = both(toss_release.LAW_STEP * of_law[k] * np.eye(8)[k])
-        rows.append((up - down)[None] / (2.0 * toss_release.LAW_STEP))
-    axes, sizes, _ = np.linalg.svd(factor)
-    squared = np.zeros((len(uncertain), 6))
-    for b, axis in zip(squared, (axes * sizes).T, strict=False):
-        with suppress(NoLandingError, UnstableError):  # like some of the drawn tosses
-            b[:] = sum(both(3.0**0.5 * axis)) / 6.0
-    if len(uncertain):
-        rows += [math.sqrt(2.0) * squared, squared.sum(axis=0, keepdims=True)]
-    total = sum(map(len, rows))
-    correlation = np.eye(total)
-    law = slice(count, count + len(uncertain))
-    correlation[law, law] = (factor @ factor.T / np.outer(
-        of_law, of_law).clip(1e-300))[np.ix_(uncertain, uncertain)]
-    more = total - law.stop
-    return Contributions(
-        (*names, *(RELEASE_NAMES[k] for k in uncertain), *[SECOND_ORDER] * more),
-        np.r_[std, of_law[uncertain], [math.nan] * more], np.concatenate(rows), correlation)
-
-
-class MonteCarlo(NamedTuple):
-    """Landings with all uncertain parameters drawn."""
-
-    errors: Array
-    """Errors (N, 6) of the tosses with a landing."""
-    failed: int
-    """Number of tosses in which the cup loses the package, or does not release it."""
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of `landing_error` (6, 6)."""
-        return np.cov(self.errors.T)
-
-
-def draw(case: TossProblem, nominal: Toss, count: int, seed: int = 0) -> MonteCarlo:
-    """Return random tosses with parameters drawn from their normal distributions."""
-    rng = np.random.default_rng(seed)
-    numbers, std, places = case.uncertain
-    rows = []
-    for _ in range(count):
-        model = cup_package.model_with(
-            case.held.model, numbers + std * rng.standard_normal(len(std)), places)
-        release = release_with(case.release, case.factor @ rng.standard_normal(8))
+    held, (values, std, places), rng = case.held, case.uncertain, np.random.default_rng(seed)
+    normal = rng.standard_normal((count, len(std) + 6))
+    errors, landed = [], np.zeros(count, bool)
+    for k, (of_model, of_law) in enumerate(zip(*np.split(normal, [len(std)], 1), strict=True)):
+        model = cup_package.model_with(held.model, values + std * of_model, places)
+        release = release_with(case.release, case.factor @ of_law)
         with suppress(NoLandingError, UnstableError):
-            rows.append(case.error_with(model, release, nominal))
-    return MonteCarlo(np.array(rows).reshape(-1, 6), count - len(rows))
+            drawn = HeldMotion(
+                model, held.grip, held.tool, until=nominal.release_time + MARGIN)
+            errors.append(np.concatenate(toss_release.landing_error(
+                toss(drawn, release, case.switched).landing, nominal.landing, held.model[2])))
+            landed[k] = True
+    if landed.sum() < count // 2:
+        raise NoLandingError(
+            f'Of {count} tosses with drawn parameters only {landed.sum()} land; expected half or '
+            'more. Lower the standard deviations of package, cup and release.*, or drive slower.')
+    law_std = np.linalg.norm(case.factor, axis=1)
+    is_diagonal = np.array_equal(case.factor, np.diag(law_std))
+    all_std = np.r_[std, law_std]
+    names = (*cup_package.PARAMETER_NAMES,
+             *(RELEASE_NAMES if is_diagonal else ['release'] * len(law_std)))
+    used = np.flatnonzero(all_std)
+    parts = np.linalg.lstsq(normal[landed][:, used], np.array(errors), rcond=None)[0]
+    shown = all_std if is_diagonal else np.r_[std, np.full(len(law_std), np.nan)]
+    return Scatter(np.array(errors), count - len(errors), tuple(names[k] for k in used),
+                   shown[used], parts)
 
 
 def ellipse(covariance: Array, count: int) -> Array:
@@ -219,7 +177,7 @@ def aim(
         If no release during the plan leads to a landing.
 
     """
-    reach = float(np.linalg.norm(np.abs(release.box[1]) + np.array(release.box[0])))
+    reach = float(np.linalg.norm(release.half))
 
     def miss(switched: float) -> Array:
         try:
