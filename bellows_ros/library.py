@@ -433,7 +433,7 @@ def steer(
 def toss(
     motion: MotionSource, parameters: Parameters, release: float | None = None,
     target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
-    monte_carlo: int = 0, urdf: str = '', topic: str = '',
+    urdf: str = '', topic: str = '',
 ) -> TossResult:
     """
     Predict a toss: the landing and its covariance, like `bellows toss`.
@@ -449,8 +449,6 @@ def toss(
         `distance_as_asked` is the distance (m) of its landing from the target.
     target_rotation : array_like (4,) or Rotation, optional
         Orientation wanted at the landing: a quaternion (x, y, z, w) or a SciPy rotation.
-    monte_carlo : int
-        Number of additional random tosses.
 
     Returns
     -------
@@ -477,7 +475,7 @@ def toss(
     from bellows_ros.workflows import toss as workflow
 
     return workflow.toss_plan(
-        motion, _parameters(parameters), release, x_y, rotation, monte_carlo, urdf=urdf,
+        motion, _parameters(parameters), release, x_y, rotation, urdf=urdf,
         topic=topic)
 
 

@@ -262,9 +262,8 @@ def toss_figure(result: Any) -> Any:
         for panel, origin, scale in ((above, 0.0 * landing, 1.0), (close, landing, 1e3)):
             panel.plot(*(scale * (landing - origin + ellipse(result.covariance, 121))).T,
                        color=ERROR, label='95 % ellipse of the landing')
-            if result.drawn is not None:
-                panel.plot(*(scale * (landing - origin + result.drawn.errors[:, :2])).T, '.',
-                           markersize=2.0, color=ERROR, alpha=0.5, label='drawn tosses')
+            panel.plot(*(scale * (landing - origin + result.scatter.errors[:, :2])).T, '.',
+                       markersize=2.0, color=ERROR, alpha=0.5, label='drawn tosses')
             if result.aim is not None:
                 panel.plot(*(scale * (result.aim.target - origin)), '+', color=TEXT, markersize=12,
                            label='target')

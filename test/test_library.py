@@ -204,7 +204,6 @@ CUP, PACKAGE = bellows_ros.Cup.thesis(), bellows_ros.Package(1.0, 0.01 * np.eye(
     (lambda: bellows_ros.observe('bags/validation', TOSSING, ''), 'topic'),
     (lambda: bellows_ros.replay([1], TOSSING), 'recording'),
     (lambda: bellows_ros.plan(1, TOSSING), 'motion .* Trajectory'),
-    (lambda: bellows_ros.toss('bags/throw.yaml', TOSSING, 1.0, monte_carlo=2.5), 'monte_carlo'),
     (lambda: bellows_ros.box_inertia(1.0, 0.1, 0.1, np.nan), 'box'),
     (lambda: bellows_ros.savgol(1, 8, 4), 'trajectory'),
     (lambda: bellows_ros.simulate(CUP, PACKAGE, None), 'tool'),

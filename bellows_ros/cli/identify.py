@@ -118,9 +118,9 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
     console.line(
         f'Release identified from {many(len(fit.drops), "drop")} in {listed(result.bags)}', 'bold')
     rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
-    for k in fit.free:
+    for k in set(range(len(names))) - set(fit.not_identifiable):
         factor, unit = display_unit(RELEASE_UNITS[names[k]])
-        numbers = (fit.law[k], fit.std[k], fit.scatter[k])
+        numbers = (fit.law[k], fit.std[k], 0.0 if k else fit.scatter)
         law, *errors = column([factor * x for x in numbers], factor * fit.std[k])
         rows.append((names[k], f'{law} {unit}', *(
             f'{text} {unit}' if number else ''
@@ -133,8 +133,8 @@ def _print_release(result: 'ReleaseResult', console: Console) -> None:
         for mass, count, released, position, velocity in result.masses())], right=True)
     speed = max(drop.speed for drop in fit.drops)
     console.paragraph(
-        f'From drop to drop, the instant scatters by {milli * fit.scatter[0]:.2f} ms (one sigma); '
-        f'at {speed:.2f} m/s, the fastest release, that is {milli * fit.scatter[0] * speed:.1f} '
+        f'From drop to drop, the instant scatters by {milli * fit.scatter:.2f} ms (one sigma); '
+        f'at {speed:.2f} m/s, the fastest release, that is {milli * fit.scatter * speed:.1f} '
         'mm along the flight.',
         f'The law leaves {milli * fit.position:.2f} mm of the positions (rms); chi2 per pose: '
         f'{fit.chi2:.3g} (1 if model and noise are right). Standard errors come from the '

@@ -35,10 +35,6 @@ def print_result(report: SimulationReport, console: Console) -> None:
                  f'at {report.largest_bending_time_s:.2f} s.')
     if report.margin:
         console.paragraph(text(report.margin.finding))
-    if report.tosses:
-        late = [1e3 * (toss.release_time - toss.valve_time) for toss in report.tosses]
-        console.line(f'{len(late)} tosses, released {min(late):.1f} to {max(late):.1f} ms after '
-                     'the valve.')
     if report.truth:
         console.line(f'The true motion: {report.truth}')
     console.warn(*report.warnings)

@@ -4,7 +4,6 @@ import argparse
 import math
 
 from bellows_ros.core.parameters.table import PARAMETERS
-from bellows_ros.core.toss.landing import coverage
 from bellows_ros.report.text import column, display_unit, formatted, with_error
 from bellows_ros.workflows.toss import toss_plan, TossResult, write_toss
 import numpy as np
@@ -19,7 +18,7 @@ def run(arguments: argparse.Namespace, console: Console) -> Outcome:
     """Predict a toss."""
     result = toss_plan(
         arguments.plan, read_settings(arguments, cup_for=console), arguments.release,
-        arguments.target, arguments.target_rotation, arguments.monte_carlo, console.progress,
+        arguments.target, arguments.target_rotation, console.progress,
         str(arguments.urdf or ''), arguments.topic)
     if arguments.out:
         write_toss(arguments.out, result, arguments.force)
@@ -33,8 +32,9 @@ def print_result(result: TossResult, console: Console) -> None:
     x, y, _ = toss.landing[0]
     std = np.sqrt(np.diag(result.covariance))
     rotation_std = math.degrees(float(np.linalg.norm(std[3:])))
-    mode = 'its lip peels' if case.held.mode == 'peel' else (
-        'its suction is blown off' if case.release.law[5] else 'after the delay')
+    mode = 'its lip peels' if result.mode == 'peel' else (
+        'its suction is blown off' if case.release.law[3] else 'an assumed delay' if (
+            result.assumed) else 'after the delay')
     console.line('Toss', 'bold')
     console.line(
         f'  valve     {case.switched:.4f} s; lets go {delay:.1f} ms later ({mode}) at '
@@ -48,12 +48,8 @@ def print_result(result: TossResult, console: Console) -> None:
         gain = '' if asked is None else f', instead of {MILLI * asked:.1f} mm with --release'
         angle = f', {math.degrees(aim.angle):.1f} deg' if aim.angle else ''
         console.line(f'  target    {MILLI * aim.distance:.2f} mm{angle} away{gain}')
-    if drawn := result.drawn:
-        drawn_std = MILLI * np.sqrt(np.diag(drawn.covariance))
-        inside = 100.0 * coverage(result.covariance, drawn.errors)
-        console.line(
-            f'  drawn     {len(drawn.errors)} tosses: x {drawn_std[0]:.1f} mm, y '
-            f'{drawn_std[1]:.1f} mm; {inside:.1f} % in the 95 % ellipse; {drawn.failed} failed')
+    if failed := result.scatter.failed:
+        console.line(f'  failed    {failed} of {failed + len(result.scatter.errors)} drawn tosses')
     console.line()
     _print_budget(result, console)
     console.warn(*result.warnings)
@@ -65,7 +61,7 @@ def _print_budget(result: TossResult, console: Console) -> None:
     if not groups:
         console.paragraph(
             'The uncertainty of the landing is unknown: no standard deviation is given. Set '
-            "release.delay_std, release.tau_std, package.mass_std and package.com_std; 'bellows "
+            "release.std, package.mass_std and package.com_std; 'bellows "
             "identify' writes cup.*_std.")
         return
     shifts = [MILLI * group.metres for group in groups]
@@ -76,7 +72,7 @@ def _print_budget(result: TossResult, console: Console) -> None:
             strict=True):
         parameter = PARAMETERS.get(group.name)
         factor, unit = display_unit(parameter.unit if parameter else '')
-        unknown = 'see release.*_std' if group.name == 'release' else f'see {group.name}_std'
+        unknown = 'see release.std' if group.name == 'release' else f'see {group.name}_std'
         rows.append((group.name, formatted(group.std, '.3g', unit, factor, unknown),
                      f'{shift} mm', f'{angle} deg'))
     console.table(rows, right=True)

@@ -9,23 +9,22 @@ import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, transform
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import largest_step
 from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.model.simulation import simulate, tool_rows
 from bellows_ros.core.model.validity_range import flip_finding
-from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
-from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows
+from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import Planned, sample_stamps
-from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe, Thrown, tossed, Truth
+from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_writer, File, messages
 from bellows_ros.report.findings import warnings
@@ -69,9 +68,7 @@ class SimulationReport(NamedTuple):
     warnings : tuple of str
         Warnings about the use of the recording.
     margin : Margin or None
-        Smallest safety factor of the grip while the valve is on; None if unknown.
-    tosses : tuple of Thrown
-        Tosses with their drawn valve and blow-off.
+        Smallest safety factor of the grip; None if unknown.
 
     """
 
@@ -84,7 +81,6 @@ class SimulationReport(NamedTuple):
     largest_bending_time_s: float
     warnings: tuple[str, ...]
     margin: Margin | None
-    tosses: tuple[Thrown, ...] = ()
 
 
 def simulate_recording(
@@ -150,8 +146,7 @@ def simulate_recording(
         bag, truth_file, recipe.motion.duration,
         {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
         angle, worst, warnings(filter(None, [flip_finding(angle)])),
-        _smallest_margin(values, truth, recipe),
-        truth.tosses)
+        _smallest_margin(values, truth))
 
 
 def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Event, ...]:
@@ -164,17 +159,26 @@ def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Even
     return tuple(sorted(events, key=lambda event: (event.topic, event.start_s)))
 
 
-def _smallest_margin(values: Values, truth: Truth, recipe: Recipe) -> Margin | None:
-    """Return the smallest safety factor while the valve is on; None if unknown."""
+class Truth(NamedTuple):
+    """True trajectories of tool E and package B at common stamps, with body twists."""
+
+    tool: Trajectory
+    package: Trajectory
+
+    def at(self, stamps_ns: Stamps) -> 'Truth':
+        """Return the samples at some of the stamps."""
+        index = np.searchsorted(self.tool.stamps_ns, stamps_ns)
+        return Truth(self.tool.select(index), self.package.select(index))
+
+
+def _smallest_margin(values: Values, truth: Truth) -> Margin | None:
+    """Return the smallest safety factor; None if unknown."""
     grip = grip_of(values)
     if grip is None:
         return None
     model = model_tuple(cup_of(values), package_of(values), values.gravity.magnitude)
-    seconds, held = truth.tool.seconds, truth.held.copy()
-    for off in recipe.releases:
-        held &= (seconds <= off) | (seconds > off + recipe.pickup)
-    tool, package = (tool_rows(each)[held] for each in (truth.tool, truth.package))
-    return margin(grip, factors_along(model, grip, tool, package), seconds[held])
+    tool, package = (tool_rows(each) for each in truth)
+    return margin(grip, factors_along(model, grip, tool, package), truth.tool.seconds)
 
 
 def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> Truth:
@@ -198,14 +202,7 @@ def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedu
             f'The tool reaches {speed:.3g} m/s and {rate:.3g} rad/s; expected at most '
             f'{screening.MAX_TOOL_SPEED:g} and {screening.MAX_TOOL_RATE:g}, as no arm is faster. '
             'Check the units of the motion: m, rad and s.')
-    if not recipe.releases:
-        always = np.ones(len(tool), dtype=bool)
-        hanging = simulate(cup, package, tool, gravity=values.gravity.magnitude)
-        return Truth(tool, hanging, always, always)
-    normal = generator(recipe.seed, 'release').standard_normal((len(recipe.releases), 8))
-    release, factor = conversion.release_of(values), conversion.release_factor(values)
-    return tossed(model, grip_of(values), release, tool, recipe.releases, recipe.pickup,
-                  normal @ factor.T)
+    return Truth(tool, simulate(cup, package, tool, gravity=values.gravity.magnitude))
 
 
 def _record(
@@ -214,10 +211,9 @@ def _record(
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
     tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
-    tracked = plans['package']._replace(sent=plans['package'].sent & at.tracked)
     recorded = list[bag_writer.Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
-                                     ('package', at.package, recipe.package, tracked)):
+                                     ('package', at.package, recipe.package, plans['package'])):
         late_ns = round(sensor.latency * NS_PER_S)  # delay of the receipt
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
         recorded.append(bag_writer.as_messages(
@@ -230,14 +226,6 @@ def _record(
             recorded.append(bag_writer.as_messages(
                 recipe.topics['tool_twist'], messages.TWIST, poses.stamps_ns, twists,
                 recipe.frame_id, log_times_ns=poses.stamps_ns + late_ns))
-    if recipe.releases:  # on, off at each release, and on again at each pick-up
-        off = np.array(recipe.releases)
-        on = np.append(0.0, off + recipe.pickup)
-        times = np.sort(np.append(off, on[on <= recipe.motion.duration]))
-        recorded.append(bag_writer.Encoded(
-            recipe.topics['valve'], messages.BOOL,
-            recipe.start_ns + np.round(times * NS_PER_S).astype(np.int64),
-            [messages.encode_bool(k % 2 == 0) for k in range(len(times))]))
     return recorded
 
 
@@ -251,7 +239,6 @@ def _truth_bytes(
     The motion is planned in a world with z up; `R_world_level` (3, 3) rotates it to the world.
     """
     sampled_ns = plans['package'].sampled_ns
-    sampled_ns = sampled_ns[truth.at(sampled_ns).tracked]
     at, arrays = truth.at(sampled_ns), dict[str, Array]()
     for name, motion in (('tool', at.tool), ('package', at.package)):
         arrays[name] = transform(
@@ -265,6 +252,6 @@ def _truth_bytes(
 
 def _bending(truth: Truth) -> tuple[float, float]:
     """Return the largest bending (rad), and its time (s)."""
-    angle = np.where(truth.held, bending(truth.tool.rotation, truth.package.rotation), 0.0)
+    angle = bending(truth.tool.rotation, truth.package.rotation)
     worst = int(np.argmax(angle))
     return float(angle[worst]), float(truth.tool.seconds[worst])

@@ -19,7 +19,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
-from bellows_ros.core.toss.release import HeldMotion, Toss, toss
+from bellows_ros.core.toss.release import HeldMotion, NO_GRIP, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bags, File, messages, results
 from bellows_ros.report.findings import entry, warnings
@@ -58,16 +58,27 @@ class TossResult(CommandResult):
     source: plan.Source
     case: landing.TossProblem
     toss: Toss
-    parts: landing.Contributions
+    scatter: landing.Scatter
+    per_millisecond: float
+    """Shift of the landing per millisecond of the valve, m."""
     aim: landing.Aim | None
     distance_as_asked: float | None
     """Distance (m) from the target, if any, with the valve at the given time."""
-    drawn: landing.MonteCarlo | None
+
+    @property
+    def assumed(self) -> bool:
+        """Whether release.* is not given, and a delay of the valve is assumed."""
+        return conversion.with_assumed_release(self.source.values) is not self.source.values
 
     @property
     def covariance(self) -> Array:
         """Covariance of the landing (6, 6), m and rad."""
-        return self.parts.covariance
+        return self.scatter.covariance
+
+    @property
+    def mode(self) -> str:
+        """Kind of release: 'peel', or 'delay' if the grip is unknown."""
+        return 'delay' if self.case.held.grip == NO_GRIP else 'peel'
 
     @property
     def bodies(self) -> tuple[Trajectory, Trajectory]:
@@ -80,33 +91,22 @@ class TossResult(CommandResult):
 
     def shares(self) -> list[Share]:
         """Return the contribution of each uncertain parameter, the largest first."""
-        return self._shares(tuple(dict.fromkeys(self.parts.names)))
+        return self._shares(tuple(dict.fromkeys(self.scatter.names)))
 
     def groups(self) -> list[Share]:
-        """
-        Return the contributions of groups of parameters, the largest first.
-
-        Correlated numbers of the law of release are one group, 'release'.
-        """
-        independent = np.array_equal(self.parts.correlation, np.eye(len(self.parts.std)))
-        return self._shares((*GROUPS, *(
-            (*RELEASE_NAMES, landing.SECOND_ORDER) if independent else ['release'])))
+        """Return the contributions of groups of parameters, the largest first."""
+        return self._shares((*GROUPS, *dict.fromkeys(
+            name for name in self.scatter.names if name.startswith('release'))))
 
     def _shares(self, names: tuple[str, ...]) -> list[Share]:
         """Return the contributions of quantities with given prefixes."""
         shares = []
         for name in names:
-            std, covariance = self.parts.of(name)
+            std, covariance = self.scatter.of(name)
             if len(std):
                 sizes = np.sqrt(np.diag(covariance).reshape(2, 3).sum(axis=1)).tolist()
                 shares.append(Share(name, float(std[0]) if len(std) == 1 else math.nan, *sizes))
         return sorted(shares, key=lambda share: -share.metres)
-
-    @property
-    def per_millisecond(self) -> float:
-        """Shift of the landing (m) per millisecond of the valve; 0 if unknown."""
-        return next((1e-3 * share.metres / share.std for share in self.shares()
-                     if share.name == 'release.delay'), 0.0)
 
     def as_json(self) -> dict[str, Any]:
         """Return all numbers, SI units, twists and quaternions (x, y, z, w) of B in the world."""
@@ -114,7 +114,7 @@ class TossResult(CommandResult):
         content: dict[str, Any] = {
             'valve_time': self.case.switched,
             'release_time': toss.release_time,
-            'release_mode': self.case.held.mode,
+            'release_mode': self.mode,
             'release_pose': [*toss.release[0], *toss.release[1]],
             'release_twist': [*toss.release[2], *toss.release[3]],
             'landing_time': toss.landing_time,
@@ -123,6 +123,7 @@ class TossResult(CommandResult):
             'landing_twist': [*toss.landing[2], *toss.landing[3]],
             'landing_covariance': self.covariance,
             'tumbling': toss.tumbling,
+            'drawn': len(self.scatter.errors), 'failed': self.scatter.failed,
             'budget': _budget(self.shares()),
             'budget_of_groups': _budget(self.groups()),
             'findings': [*map(entry, self.findings)], 'warnings': self.warnings,
@@ -133,12 +134,6 @@ class TossResult(CommandResult):
                 'distance': self.aim.distance, 'angle': self.aim.angle,
                 'distance_as_asked': self.distance_as_asked,
                 'units': {'distance_as_asked': 'm'}}
-        if self.drawn is not None:
-            content['monte_carlo'] = {
-                'count': len(self.drawn.errors), 'failed': self.drawn.failed,
-                'covariance': self.drawn.covariance,
-                'units': {'covariance': results.UNIT_OF['landing_covariance']},
-                'part_in_ellipse': landing.coverage(self.covariance, self.drawn.errors)}
         return results.with_units(content)
 
     @property
@@ -152,6 +147,7 @@ class TossResult(CommandResult):
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the toss."""
         held, values, release = self.case.held, self.source.values, self.source.values.release
+        speed = float(np.linalg.norm(self.toss.release[2]))
         lost_at = held.lost_before(self.case.switched)
         before = held.times <= self.toss.release_time
         angle = float(np.max(plan.bending(*(
@@ -160,7 +156,10 @@ class TossResult(CommandResult):
             None if lost_at is None else Finding(
                 'lost_before', Level.WARN, {'lost': lost_at, 'switched': self.case.switched}),
             flip_finding(angle),
-            Finding('no_lip') if held.mode == 'delay' and not self.case.release.law[5] else None,
+            Finding('no_lip') if self.mode == 'delay' and not release.opening else None,
+            Finding('assumed_delay', Level.WARN, {
+                'longest': conversion.MAX_DELAY, 'speed': speed,
+                'shift': conversion.MAX_DELAY * speed}) if self.assumed else None,
             plan.outside_finding(outside_loads(
                 (values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
                 values.vacuum.holding)),
@@ -193,8 +192,7 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
 
 
 def _require_request(
-    switched: float | None, target: tuple[float, float] | None, target_rotation: Array | None,
-    monte_carlo: int
+    switched: float | None, target: tuple[float, float] | None, target_rotation: Array | None
 ) -> None:
     """Require a time of the valve or a target, in the ranges of `toss_plan`."""
     if target is None and (target_rotation is not None or switched is None):
@@ -204,8 +202,6 @@ def _require_request(
             if target_rotation is None else
             'target_rotation is given, but no target. Give both, or leave it out.')
     for name, value, is_allowed, expected in (
-            ('monte_carlo', monte_carlo, isinstance(monte_carlo, int | np.integer) and
-             monte_carlo >= 0 and monte_carlo != 1, '2 tosses or more, or 0 for none.'),
             ('release', switched, math.isfinite(switched or 0.0), 'a finite number.'),
             ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
              f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
@@ -219,7 +215,7 @@ def _require_request(
 def toss_plan(
     path: plan.MotionSource, parameters: Mapping[str, Any], switched: float | None,
     target: tuple[float, float] | None = None, target_rotation: Array | None = None,
-    monte_carlo: int = 0, progress: Progress = no_progress, urdf: str = '', topic: str = ''
+    progress: Progress = no_progress, urdf: str = '', topic: str = ''
 ) -> TossResult:
     """
     Predict a toss along a plan.
@@ -236,8 +232,6 @@ def toss_plan(
         Target of B in the world, m, for which the time of the valve is searched.
     target_rotation : array (4,), optional
         Quaternion (x, y, z, w) wanted at landing.
-    monte_carlo : int
-        Number of additional random tosses.
     progress : callable
         Callback with a sentence on the current step.
     urdf, topic : str
@@ -249,10 +243,11 @@ def toss_plan(
         If the plan, the parameters or the time are unusable.
 
     """
-    _require_request(switched, target, target_rotation, monte_carlo)
+    _require_request(switched, target, target_rotation)
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
-    release, gravity = conversion.release_of(source.values), source.gravity
+    values, gravity = conversion.with_assumed_release(source.values), source.gravity
+    release = conversion.release_of(values)
     if target is not None and np.linalg.norm(gravity[:2]) > 1e-6 * np.linalg.norm(gravity):
         raise BellowsError(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
@@ -269,14 +264,13 @@ def toss_plan(
     assert switched is not None
     nominal = toss(held, release, switched)
     case = landing.TossProblem(
-        held, release, switched, conversion.uncertain_of(source.values),
-        conversion.release_factor(source.values))
-    progress('working out how sure the landing is')
-    parts = landing.contributions_to(case, nominal)
-    if monte_carlo:
-        progress(f'drawing {monte_carlo} tosses')
-    drawn = landing.draw(case, nominal, monte_carlo) if monte_carlo else None
-    return TossResult(source, case, nominal, parts, aim, distance, drawn)
+        held, release, switched, conversion.uncertain_of(values),
+        conversion.release_factor(values))
+    progress(f'drawing {landing.DRAWS} tosses')
+    later = release._replace(law=(release.law[0] + 1e-3, *release.law[1:]))
+    shift = math.dist(toss(held, later, switched).landing[0], nominal.landing[0])
+    return TossResult(
+        source, case, nominal, landing.scatter(case, nominal), shift, aim, distance)
 
 
 # ----------------------------------------------------------------------- release from drops
@@ -284,7 +278,7 @@ def toss_plan(
 
 class ReleaseResult(NamedTuple):
     """
-    The law of release from recordings of drops and tosses.
+    The law of release from recordings of drops.
 
     Parameters
     ----------
@@ -340,18 +334,17 @@ class ReleaseResult(NamedTuple):
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters for the release file."""
-        return release_fit.release_parameters(self.fit)
+        return self.fit.parameters()
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         fit = self.fit
         return results.with_units({
             'law': dict(zip(RELEASE_NAMES, fit.law, strict=True)),
-            'standard_errors': {RELEASE_NAMES[k]: fit.std[k] for k in fit.free},
+            'standard_errors': dict(zip(RELEASE_NAMES, fit.std, strict=True)),
             'units': RELEASE_UNITS,
-            'fitted': [RELEASE_NAMES[k] for k in fit.free],
             'not_identifiable': [RELEASE_NAMES[k] for k in fit.not_identifiable],
-            'scatter': {RELEASE_NAMES[k]: fit.scatter[k] for k in fit.free},
+            'scatter': fit.scatter,
             'chi2': fit.chi2,
             'drops': [{'bag': bag, **drop._asdict()}
                       for bag, drop in zip(self.used, fit.drops, strict=True)],
@@ -397,8 +390,7 @@ def identify_release(
         left_out += [f'{bag}, {text}' for text in not_used]
     progress(f'fitting the law of release to {len(drops)} drops', 0.5)
     try:
-        std = landing.as_law(np.array([values[f'{name}_std'] for name in RELEASE_NAMES]))
-        fit = release_fit.fit_release(drops, conversion.release_law_of(values), std)
+        fit = release_fit.fit_release(drops, conversion.release_law_of(values))
     except UndeterminedError as error:
         raise type(error)(' '.join([str(error), *(f'Not used: {t}.' for t in left_out)])) from None
     progress('done', 1.0)

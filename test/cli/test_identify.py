@@ -3,15 +3,11 @@
 import importlib.util
 import json
 
-from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.identification import search
-from bellows_ros.core.model.grip import RELEASE_NAMES
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
-import pytest
-from ruamel.yaml import YAML
 
-from .conftest import TRUTH, write_yaml
+from .conftest import TRUTH
 
 
 def test_the_cup_file_has_what_was_found_and_nothing_else(identified):
@@ -37,34 +33,6 @@ def test_parameters_from_several_places(succeed, workshop, tmp_path):
     np.testing.assert_allclose(  # 21 unknowns from 8 s
         np.diag(fit['stiffness']), TRUTH['cup.stiffness'][::7], rtol=0.2)
     assert 'K in N/m, N and N m/rad:' in done.stderr
-
-
-def test_finds_a_valve_in_tosses(bellows, succeed, root, tmp_path):
-    """Write release.* with units beside every number, and refuse what does not go with it."""
-    if not COMPILED:
-        pytest.skip('eight interpreted fits take too long; see numba')
-    cup, bag, out, fit = (
-        root / 'bags' / 'tossing.yaml', tmp_path / 'bag', tmp_path / 'release.yaml',
-        tmp_path / 'fit.json')
-    closed = [word for name, value in (
-        ('opening', 0), ('blow_off', 0), ('sticking', 0), ('delay', 0.012), ('tau', 0.015))
-        for word in ('--set', f'release.{name}={value}')]  # for a faster fit
-    motion = YAML(typ='safe').load((root / 'bags' / 'tosses.yaml').read_text())
-    motion['waypoints']['repeat'] = 8
-    motion['release']['times'] = motion['release']['times'][:8]
-    done = bellows('simulate', '--params', cup, *closed, '--motion',
-                   write_yaml(tmp_path / 'tosses.yaml', motion), '--out', bag)
-    assert '8 tosses, released' in done.stdout
-    done = succeed(
-        'identify', bag, '--release', '--params', cup, *closed, '--out', out, '--json', fit)
-    written, found = read_parameters(out), json.loads(fit.read_text())
-    assert set(written) == {'release.mass_range', 'release.correlation', *(
-        f'{name}{std}' for name in RELEASE_NAMES for std in ('', '_std'))}
-    delay = found['law']['release.delay']
-    assert delay == written['release.delay'] and found['units']['release.delay'] == 's'
-    assert len(found['drops']) == 8 and 'From drop to drop' in done.stdout
-    done = bellows('identify', bag, '--release', '--params', cup, '--jobs', 2, '--out', out)
-    assert done.returncode == 2 and '--release' in done.stderr and '--jobs' in done.stderr
 
 
 QUICK = ('--set', 'fit.method=least_squares')

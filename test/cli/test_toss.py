@@ -15,20 +15,19 @@ def test_toss_prints_landing_and_largest_contribution(succeed, tmp_path):
     """Give the names of the JSON, a budget that adds up, a picture, and the advice."""
     file, picture = tmp_path / 'toss.json', tmp_path / 'toss.png'
     done = succeed(
-        'toss', PLAN, '--params', PARAMS, '--release', 3.0, '--json', file, '--plot', picture,
-        '--monte-carlo', 3)
+        'toss', PLAN, '--params', PARAMS, '--release', 3.0, '--json', file, '--plot', picture)
     found = json.loads(file.read_text())
     assert set(found) >= {
         'release_time', 'release_mode', 'release_pose', 'release_twist', 'landing_time',
         'landing_position', 'landing_rotation', 'landing_covariance', 'tumbling', 'budget',
-        'monte_carlo', 'plan', 'version', 'provenance'}
+        'drawn', 'failed', 'plan', 'version', 'provenance'}
     assert found['release_mode'] == 'peel'
     assert 3.012 < found['release_time'] < found['landing_time'] < 4.0
     covariance = np.array(found['landing_covariance'])
     for unit, block, key in ((1e3, slice(0, 3), 'mm'), (180 / np.pi, slice(3, 6), 'deg')):
         squares = sum(share[f'contribution_{key}'] ** 2 for share in found['budget_of_groups'])
-        assert squares == pytest.approx(
-            unit ** 2 * np.trace(covariance[block, block]), rel=1e-6)
+        assert squares == pytest.approx(  # to three deviations of 200 draws
+            unit ** 2 * np.trace(covariance[block, block]), rel=0.3)
     assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
     assert 'Reduce first: release,' in done.stdout
     assert 'A perfect K and P would gain' in ' '.join(done.stdout.split())

@@ -10,7 +10,7 @@ from . import oracle
 from .plans import CUP, GRAVITY, Move, VALUES
 
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.004, -0.003, -0.03))
-HALF, CENTRE = np.array([0.11, 0.09, 0.06]), np.array([-0.004, 0.003, -0.03])
+HALF = np.array([0.11, 0.09, 0.06])
 GRIP = (90.0, 0.02, 0.5)
 DURATION = 1.0
 THROW = Move([1.2, 0.1, 0.25], [0.05, -0.5, 0.2], DURATION)
@@ -36,26 +36,24 @@ def values():
         'cup.stiffness_std': tuple(np.diag(0.004 * K).ravel()),
         'cup.damping_std': tuple(np.diag(0.02 * P).ravel()),
         'cup.lip_radius': GRIP[1], 'cup.suction_area': 1e-3, 'vacuum.holding': GRIP[0] / 1e-3,
-        'package.size': tuple(2 * HALF), 'package.size_center': tuple(CENTRE),
-        'release.delay': 0.012, 'release.delay_std': 5e-4,
-        'release.tau': 0.02, 'release.tau_std': 5e-4,
-        'release.impulse': 0.05, 'release.impulse_std': 0.01,
+        'package.size': tuple(2 * HALF), 'release.delay': 0.012, 'release.fall': 0.04,
+        'release.std': (5e-4, 1e-3, 0.0, 0.0, 0.0, 0.0),
     }
 
 
 def corners():
     """Return the eight corners of the box in B, one per row."""
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    return CENTRE + signs * HALF
+    return signs * HALF
 
 
 def opened(T_E_S, law, late):
     """Return a cup whose axial force consists of suction, folds in contact and an open bellows."""
-    delay, tau, _, blow_off, closing, opening, damping, _ = law
+    delay, fall, closing, opening, damping, _ = law
     if late < delay or not opening:
         return CUP
     stretch = -(T_E_S[:3, :3].T @ T_E_S[:3, 3])[2] - CUP.length
-    suction = (1.0 + blow_off) * np.exp(-(late - delay) / tau) - blow_off
+    suction = 1.0 - (late - delay) / fall
     K = CUP.stiffness[2, 2]
     force = closing * suction - max(0.0, closing - K * stretch)
     force += closing * (max(0.0, stretch) / opening) ** 2
@@ -70,8 +68,7 @@ def integrate(start, switched, law, height, grip=GRIP):
 
     The rotation's nine entries are integrated as they are; the flight follows Euler's equations.
     """
-    package = PACKAGE
-    delay, tau, impulse, blow_off = law[:4]
+    package, (delay, fall, *_, sticking) = PACKAGE, law
 
     def cup_at(T, t):
         o_E, R_E, _ = tool_at(t)
@@ -90,8 +87,7 @@ def integrate(start, switched, law, height, grip=GRIP):
         T, v = parts(y)
         o_E, R_E, v_E = tool_at(t)
         f = oracle.lip_wrench(cup_at(T, t), package, transform(R_E, o_E), v_E, T, v)
-        fallen = np.exp(-max(0.0, t - switched - delay) / tau)
-        left = grip[0] * ((1.0 + blow_off) * fallen - blow_off + law[7])
+        left = grip[0] * (1.0 - max(0.0, t - switched - delay) / fall + sticking)
         return left - f[2] - 2.0 * np.hypot(f[3], f[4]) / grip[1]
 
     def falling(t, y):
@@ -111,9 +107,6 @@ def integrate(start, switched, law, height, grip=GRIP):
     out = solve_ivp(slope, (switched, switched + 1.0), y, events=margin, max_step=1e-3, **options)
     t, y = out.t_events[0][0], out.y_events[0][0]
     released = (t, y[:3], y[3:12].reshape(3, 3), y[12:].copy())
-    push = np.array([0.0, 0.0, -impulse])
-    y[12:15] += push / package.mass
-    y[15:] += np.linalg.solve(package.inertia, -np.cross(package.com, push))
     out = solve_ivp(falling, (t, t + 3.0), y, events=clearance, max_step=5e-3, **options)
     t, y = out.t_events[0][0], out.y_events[0][0]
     return released, (t, y[:3], y[3:12].reshape(3, 3), y[12:])

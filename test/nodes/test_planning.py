@@ -225,7 +225,7 @@ def test_the_landing_is_published_once_at_the_release(make_partner):
     """And the package is detached until the valve is on again."""
     partner = make_partner(VALUES.replaced({
         'package.size': (0.3, 0.3, 0.02), 'landing.height': -0.5, 'release.delay': 0.02,
-        'release.delay_std': 0.002}))
+        'release.std': (0.002, 0.0, 0.0, 0.0, 0.0, 0.0)}))
     landings = partner.hears(PoseWithCovarianceStamped, 'package/landing')
     valve, live = partner.writes(Bool, 'vacuum/valve'), partner.predictor.pipeline.live
     partner.connect()

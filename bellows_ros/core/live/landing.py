@@ -65,7 +65,7 @@ def landing(
     body = adapted(model, now.tool, now.body)
 
     def landed_after(change: Array) -> tuple[float, State]:
-        """Return time (s) and state of the landing after a change (20,) of state and law."""
+        """Return time (s) and state of the landing after a change (18,) of state and law."""
         switching = (model, grip or release.NO_GRIP, release_with(law, factor @ change[12:]),
                      switched)
         released, _, landed, state = release.toss_along(
@@ -76,12 +76,12 @@ def landing(
 
     steps = np.array(release.DIFFERENCE_STEPS)
     try:
-        seconds, nominal = landed_after(np.zeros(20))
+        seconds, nominal = landed_after(np.zeros(18))
         errors = [release.landing_error(landed_after(step)[1], nominal, model[2])
                   for step in np.diag(steps)]
     except (ArithmeticError, ValueError):  # interpreted kernels raise
         return None
-    changes = np.reshape(errors, (20, 6)) / steps[:, None]
+    changes = np.reshape(errors, (18, 6)) / steps[:, None]
     of_landing = changes[:12].T @ covariance @ changes[:12] + changes[12:].T @ changes[12:]
     if not (np.isfinite(of_landing).all() and np.isfinite(np.concatenate(nominal[:2])).all()):
         return None

@@ -36,10 +36,10 @@ RELEASE_NAMES = tuple(f'release.{name}' for name in (
 """Parameters of the law of release, in the order of `Law`."""
 
 Law = tuple[float, float, float, float, float, float]
-"""Law of release: delay of the suction's fall (s), time in which the suction falls to 0 (s), closing
-force F0 of the bellows (N), stretch L at which open bellows pull with F0 (m, 0 for none), damping of
-the open bellows along z (N s/m, 0 for the cup's damping), and sticking of the lip relative to the
-holding suction."""
+"""Law of release: delay of the suction's fall (s), time in which the suction falls to 0 (s),
+closing force F0 of the bellows (N), stretch L at which open bellows pull with F0 (m, 0 for none),
+damping of the open bellows along z (N s/m, 0 for the cup's damping), and sticking of the lip
+relative to the holding suction."""
 NO_LAW: Law = (0.0,) * 6
 """Law of a cup with immediate release."""
 

@@ -30,6 +30,9 @@ EXTRAPOLATION = 2.0
 """Relative growth of the law's standard deviations per factor e of mass beyond its range, from
 real drops of lighter and heavier packages (docs/evidence.md)."""
 
+MAX_DELAY = 0.15
+"""Longest delay from valve to release of usual ejectors with hoses, s."""
+
 
 def cup_of(values: Values) -> Cup:
     """Return the cup of parameter values, composed of several cups if given."""

@@ -206,9 +206,9 @@ class PlanSimulation:
         """Return the whole prediction after `states`, including the time after the end."""
         settled = self._simulate_decay(math.inf)
         peaks, _, lip = self._extremes
-        states, *loads = self.samples
-        return PlanPrediction(self.tool, states[:, :13], *loads, peaks, settled, lip[:, :2], lip[:, 2],
-                              self._grip, self._tail > 0.0)
+        states, wrench, loads = self.samples
+        return PlanPrediction(self.tool, states[:, :13], wrench, loads, peaks, settled,
+                              lip[:, :2], lip[:, 2], self._grip, self._tail > 0.0)
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
         """Store states and loads along the plan; return whether all are below the ceiling."""

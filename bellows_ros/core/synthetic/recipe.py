@@ -1,8 +1,5 @@
 """
-The checked content of a motion file: motions, tosses, and a tracking system.
-
-In a recording with tosses, each package hangs, is released, flies and lands; then the tool picks
-up the next package.
+The checked content of a motion file: a motion, and a tracking system.
 
 A recorded pose of a body with the true pose (R, o) in the world is
 
@@ -13,23 +10,17 @@ marker frame in the body. For the package, d includes the pick-up offset of an o
 Poses are then rotated into the recording's world.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-import math
 import re
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.model.grip import Grip, Law, Release
-from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.simulation import stands, trajectory_of, write_row
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import Motion, motion_from, sample_stamps
-from bellows_ros.core.toss.landing import release_with
-from bellows_ros.core.toss.release import HeldMotion, MAX_RELEASE_WAIT, toss
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.random import default_rng, Generator, SeedSequence
@@ -286,12 +277,11 @@ def twist_sensor_from(settings: Settings) -> TwistSensor | None:
 TOPICS = {
     'tool_pose': '/tool_arm/pose',
     'tool_twist': '/tool_arm/twist',
-    'package_pose': '/package/pose',
-    'valve': '/vacuum/valve'}
+    'package_pose': '/package/pose'}
 START_NS = 1_700_000_000_000_000_000
 """First stamp of a recording of a motion or plan without a date."""
 
-_PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'package', 'release')
+_PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'package')
 
 
 class Recipe(NamedTuple):
@@ -311,7 +301,7 @@ class Recipe(NamedTuple):
     frame_id : str
         Frame in every header.
     topics : mapping
-        Topic of 'tool_pose', 'tool_twist', 'package_pose' and 'valve'.
+        Topic of 'tool_pose', 'tool_twist' and 'package_pose'.
     storage, zstd : str, bool
         Storage, as `files.bag_writer.write_bag` takes it.
     seed : int
@@ -320,10 +310,6 @@ class Recipe(NamedTuple):
         First stamp, ns.
     truth : bool
         Whether the true motion is written in addition to the recording.
-    releases : tuple of float
-        Times of switching the valve off, s since the beginning.
-    pickup : float
-        Time from the valve to the next hanging package, s.
 
     """
 
@@ -339,8 +325,6 @@ class Recipe(NamedTuple):
     seed: int
     start_ns: int
     truth: bool
-    releases: tuple[float, ...]
-    pickup: float
 
 
 def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
@@ -367,7 +351,6 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
     tool, package = settings.block('tool'), settings.block('package')
     tracked = np.zeros(3) if package.choice('frame', ('com', 'lip'), 'com') == 'com' else -com
     offset = package.vector('pickup_offset', 2, (0.0, 0.0), unit='m')
-    releases, pickup = _releases(settings.block('release'), moving.duration)
     recipe = Recipe(
         motion=moving,
         tool=sensor_from(tool),
@@ -380,24 +363,9 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         zstd=settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd',
         seed=seed,
         start_ns=settings.integer('start_time_ns', START_NS, minimum=10**9, maximum=2**62),
-        truth=settings.flag('truth', False),
-        releases=releases,
-        pickup=pickup)
+        truth=settings.flag('truth', False))
     settings.done()
     return recipe
-
-
-def _releases(settings: Settings, duration: float) -> tuple[tuple[float, ...], float]:
-    """Return the times of switching the valve off, and the time to the next hanging package."""
-    times = settings.numbers('times', 's', minimum=0.0, default=())
-    pickup = settings.number('pickup', 2.0, 's', above=0.0)
-    if (np.diff(times) <= pickup).any():
-        raise settings.refuse(
-            'times', f'further apart than release.pickup, {pickup:g} s, and in order',
-            times.tolist())
-    if (times >= duration).any():
-        raise settings.refuse('times', f'before the end at {duration:g} s', times.tolist())
-    return tuple(times.tolist()), pickup
 
 
 def _topics(settings: Settings) -> dict[str, str]:
@@ -416,102 +384,3 @@ def _topics(settings: Settings) -> dict[str, str]:
 def generator(seed: int, purpose: str) -> Generator:
     """Return random numbers for one purpose, independent of the numbers for other purposes."""
     return default_rng(SeedSequence(seed, spawn_key=(_PURPOSES.index(purpose),)))
-
-
-class Thrown(NamedTuple):
-    """A toss with its valve; times are in s since the beginning of the recording."""
-
-    valve_time: float
-    release_time: float
-    landing_time: float
-    law: Law
-    """Drawn numbers of the release, in the order of `RELEASE_NAMES`."""
-
-
-class Truth(NamedTuple):
-    """
-    True trajectories of tool E and package B at common stamps, with body twists.
-
-    A tossed package hangs while `held`; after its landing it is not `tracked`.
-    """
-
-    tool: Trajectory
-    package: Trajectory
-    held: Mask
-    tracked: Mask
-    tosses: tuple[Thrown, ...] = ()
-
-    def at(self, stamps_ns: Stamps) -> 'Truth':
-        """Return the samples at some of the stamps."""
-        index = np.searchsorted(self.tool.stamps_ns, stamps_ns)
-        return self._replace(
-            tool=self.tool.select(index), package=self.package.select(index),
-            held=self.held[index], tracked=self.tracked[index])
-
-
-def tossed(
-    model: ModelTuple, grip: Grip | None, release: Release, tool: Trajectory,
-    times: Sequence[float], pickup: float, changes: Array,
-) -> Truth:
-    """
-    Simulate a recording in which packages are tossed.
-
-    Parameters
-    ----------
-    model, grip : tuple
-        Model and grip for the kernels.
-    release : Release
-        Valve, package and floor.
-    tool : Trajectory
-        Motion of E with body twists.
-    times : sequence of float
-        Times of switching the valve off, s since the first stamp, in order.
-    pickup : float
-        Time from the valve to the next package at rest, s.
-    changes : array (N, 8)
-        Deviation of the law of release of each toss; see `release_with`.
-
-    Raises
-    ------
-    BellowsError
-        If the tool moves at a pick-up, a toss is impossible, or does not end before the next
-        pick-up.
-
-    """
-    count, seconds = len(tool), tool.seconds
-    rows, tosses = np.empty((count, 13)), []
-    held, tracked = np.ones((2, count), dtype=bool)
-    begins = np.searchsorted(seconds, [0.0, *np.add(times, pickup)]).tolist()
-    for k, (first, last) in enumerate(zip(begins, [*begins[1:], count], strict=True)):
-        if first >= count:
-            break
-        part, start = slice(first, last), float(seconds[first])
-        switched = times[k] - start if k < len(times) else math.inf
-        remaining = tool.select(slice(first, None))
-        try:
-            if not stands(twist := np.asarray(remaining.twist)[0]):
-                speed, rate = np.linalg.norm(twist.reshape(2, 3), axis=1)
-                raise BellowsError(
-                    f'the tool moves at {speed:.3g} m/s and {rate:.3g} rad/s there, but picks up '
-                    'packages only at rest. Change release.pickup, or let the tool wait.')
-            hanging = HeldMotion(model, grip, remaining, until=switched + MAX_RELEASE_WAIT)
-            drawn = release_with(release, changes[k]) if k < len(times) else release
-            t = seconds[part] - start
-            rows[part] = hanging.along(drawn, switched, t)[1]
-            if k == len(times):
-                break
-            thrown = toss(hanging, drawn, switched)
-            if thrown.landing_time > t[-1] and last < count:
-                raise BellowsError(
-                    f'The package lands {thrown.landing_time - switched:.3g} s after the valve is '
-                    f'switched, but the next one is picked up after {pickup:g} s. Raise '
-                    'release.pickup.')
-        except BellowsError as error:
-            raise BellowsError(f'Package {k + 1}, held from {start:.3g} s on: {error}') from None
-        held[part] = t <= thrown.release_time
-        tracked[part] = t <= thrown.landing_time
-        write_row(resting := np.zeros(13), (*thrown.landing[:2], (0.0,) * 3, (0.0,) * 3))
-        rows[part][t > thrown.landing_time] = resting
-        tosses.append(Thrown(
-            times[k], start + thrown.release_time, start + thrown.landing_time, drawn.law))
-    return Truth(tool, trajectory_of(tool.stamps_ns, rows), held, tracked, tuple(tosses))

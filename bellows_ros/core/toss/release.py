@@ -1,9 +1,9 @@
 """
 The toss: the valve is switched, the cup opens and releases the package, which flies and lands.
 
-The suction, relative to the holding suction, is 1 until a delay after the valve, and falls linearly
-from then on: s(t) = 1 - t / T, below 0 by a blow-off. The force F0 s of the suction closes the
-bellows, whose axial force at a stretch y along the lip's z, from the cup length, is
+The suction, relative to the holding suction, is 1 until a delay after the valve, and falls
+linearly from then on: s(t) = 1 - t / T, below 0 by a blow-off. The force F0 s of the suction
+closes the bellows, whose axial force at a stretch y along the lip's z, from the cup length, is
 
     F = F0 s - max(0, F0 - K_z y) + F0 (max(0, y) / L)^2,
 
@@ -394,10 +394,10 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
     released, body, landing, landed = held.find_release(release, switched)
     if released < 0.0:
         raise NoLandingError(
-            f'The cup does not let go within {held.times[-1] - switched:.3g} s after the valve is '
-            f'switched at {switched:g} s. ' + (
-                'Check release.delay, release.fall, release.sticking and whether the package hangs '
-                'from the cup.'
+            f'The cup does not let go within {held.times[-1] - switched:.3g} s after the valve '
+            f'is switched at {switched:g} s. ' + (
+                'Check release.delay, release.fall, release.sticking and whether the package '
+                'hangs from the cup.'
                 if held.ends_at_rest else
                 'The plan ends earlier, in motion. Make it longer, or release earlier.'))
     if landing == released:

@@ -227,7 +227,8 @@ class ReleaseFit(NamedTuple):
         return {
             **dict(zip(RELEASE_NAMES, self.law, strict=True)),
             'release.std': tuple(std.tolist()),
-            'release.correlation': tuple((covariance / np.outer(std, std)).ravel().tolist()),
+            'release.correlation': tuple(np.clip(  # of rounding
+                covariance / np.outer(std, std), -1.0, 1.0).ravel().tolist()),
             'release.mass_range': (min(masses), max(masses))}
 
 
@@ -300,8 +301,11 @@ def _fitted(drops: Sequence[Drop], start: Array, expected: Array) -> Any:
         J[first:, :6] = np.eye(6) / PRIOR_STD
         return J
 
-    return least_squares(residuals, np.append(start, np.zeros(count)), slopes, x_scale='jac',
-                         ftol=1e-6, max_nfev=60)
+    reach = np.append(np.full(6, 5.0 * PRIOR_STD), np.full(count, 2.0 * MAX_OWN))
+    middle, first = (np.append(part, np.zeros(count)) for part in (expected, start))
+    return least_squares(
+        residuals, first.clip(middle - 0.9 * reach, middle + 0.9 * reach), slopes,
+        (middle - reach, middle + reach), x_scale='jac', ftol=1e-6, max_nfev=60)
 
 
 def _as_fit(drops: Sequence[Drop], x: Array) -> ReleaseFit:
@@ -317,9 +321,10 @@ def _as_fit(drops: Sequence[Drop], x: Array) -> ReleaseFit:
         variances.append(1.0 / matrix[6, 6])
     inverse, masses = np.linalg.inv(hessian), np.array([drop.mass for drop in drops])
     clusters = [np.eye(len(drops)), np.equal.outer(np.unique(masses), masses)]
-    covariance = inverse @ inverse / PRIOR_STD**2 + sum(  # of the prior, and of the drops
-        _clustered(of_drop @ np.array(gradients), inverse)
-        for of_drop in clusters if len(of_drop) > 2)
+    covariance = inverse @ inverse / PRIOR_STD**2  # of the prior, and of the drops
+    for of_drop in clusters:
+        if len(of_drop) > 2:
+            covariance += _clustered(of_drop @ np.array(gradients), np.asarray(inverse))
     law = np.exp(x[:6])
     scatter = DELAY_STD * math.sqrt(max(np.var(x[6:], ddof=1) - np.mean(variances), 0.0))
     return ReleaseFit(as_law(law), np.outer(law, law) * covariance, scatter,
