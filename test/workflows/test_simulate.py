@@ -5,7 +5,6 @@ import json
 
 from bellows_ros.core.geometry.lie import log_so3, transform
 from bellows_ros.core.model.cup_package import Cup, Package
-from bellows_ros.core.model.grip import RELEASE_NAMES
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.synthetic.motion import MOTION_KINDS
 from bellows_ros.core.synthetic.recipe import read_recipe

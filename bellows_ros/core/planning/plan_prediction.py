@@ -207,14 +207,15 @@ class PlanSimulation:
         settled = self._simulate_decay(math.inf)
         peaks, _, lip = self._extremes
         states, wrench, loads = self.samples
-        return PlanPrediction(self.tool, states[:, :13], wrench, loads, peaks, settled,
-                              lip[:, :2], lip[:, 2], self._grip, self._tail > 0.0)
+        return PlanPrediction(
+            self.tool, states[:, :13], wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
+            self._grip, self._tail > 0.0)
 
     def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
         """Store states and loads along the plan; return whether all are below the ceiling."""
         n, no_sample = len(self._rows), np.full((len(PEAKS), 4), math.inf)
         self.samples = (np.empty((n, simulation.row_length(self.start))), np.empty((n, 6)),
-                         np.empty((n, 2)))
+                        np.empty((n, 2)))
         self._extremes = (np.zeros((len(PEAKS), 3)), no_sample,
                           np.tile([math.inf, -math.inf, 0.0], (6, 1)))
         self._body, self._seconds, below = self._run(
