@@ -29,10 +29,14 @@ def code_lines(file: Path) -> int:
 
 
 def main() -> None:
-    """Print code lines and modules of each folder, and the words of what is written by hand."""
+    """Print lines of code, lines of the other files of the package, and words of the pages."""
     for name in sys.argv[1:] or ('bellows_ros', 'test', 'benchmarks'):
         files = sorted((ROOT / name).rglob('*.py'))
         print(f'{name:12} {sum(map(code_lines, files)):6} lines in {len(files):3} modules')
+    others = [file for file in (ROOT / 'bellows_ros').rglob('*.*')
+              if file.suffix not in ('.py', '.pyc')]
+    lines = sum(len(file.read_text().splitlines()) for file in others)
+    print(f'{"TOML, XML":12} {lines:6} lines in {len(others):3} files of the package')
     pages = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
     for name, texts in (('pages', pages), ('changelog', [ROOT / 'CHANGELOG.rst'])):
         print(f'{name:12} {sum(len(text.read_text().split()) for text in texts):6} words')
