@@ -81,10 +81,9 @@ setup(
     package_data={PACKAGE: [
         'py.typed', '**/*.toml']},
     python_requires='>=3.11',
-    # rosbags 0.11.7 is the first that brings lz4 and backports.zstd, which files/ uses too.
+    # rosbags 0.11.7 is the first that brings lz4 and zstd.
     install_requires=[
-        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'ruamel.yaml>=0.17.21', 'rich>=13',
-        'mcap>=1.2'],
+        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'ruamel.yaml>=0.17.21', 'rich>=13'],
     extras_require=EXTRAS,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

@@ -195,13 +195,13 @@ def _predict_live(
     from rclpy.context import Context
 
     topics = {settings['topics.tool_pose']: POSES, settings['topics.tool_twist']: TWISTS}
-    messages, _ = bags.read_messages(bag, topics)
+    messages = bags.read_messages(bag, topics)
     context = Context()
     rclpy.init(args=[], context=context)
     try:
         with _predictor(parameters, log) as require_alive:
             player = _Player(context, [
-                (topics[each.topic.name], each.log_time_ns, each.data) for each in messages],
+                (topics[each.topic], each.log_time_ns, each.data) for each in messages],
                 require_alive)
             sent = player.play()
     finally:

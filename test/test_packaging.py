@@ -69,7 +69,7 @@ def test_wheel_holds_the_package_and_its_share_and_no_tests(wheel, root, tmp_pat
     assert str(metadata.metadata.get_payload()).startswith('# bellows_ros')
     hard = {need for need in metadata.requires or () if 'extra' not in need}
     assert {need.split('>')[0] for need in hard} == {
-        'numpy', 'scipy', 'rosbags', 'mcap', 'ruamel.yaml'}
+        'numpy', 'scipy', 'rosbags', 'ruamel.yaml', 'rich'}
 
 
 def test_version_and_licence_agree_everywhere(root):
@@ -97,7 +97,7 @@ def test_package_xml_is_valid_and_asks_rosdep_for_nothing_it_lacks(root):
     assert manifest.get_build_type() == 'ament_python'
     needs = {need.name for need in manifest.exec_depends}
     assert {'rclpy', 'geometry_msgs', 'std_srvs', 'python3-numpy', 'python3-scipy'} <= needs
-    assert not {'python3-numba', 'numba', 'rosbags', 'mcap'} & needs
+    assert not {'python3-numba', 'numba', 'rosbags'} & needs
 
 
 def test_what_messages_tell_to_install_is_what_the_extras_need(root, tmp_path, monkeypatch):

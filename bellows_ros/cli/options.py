@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.parameters import checks, table
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_folder, File, parameter_files, results
+from bellows_ros.files import atomic, File, parameter_files, results
 from bellows_ros.version import __version__
 
 from .console import Binary, Console, Folder, NOT_USABLE, OK, Output, STDOUT
@@ -232,7 +232,7 @@ def require_named_outputs(arguments: argparse.Namespace, inputs: Sequence[str] =
             f"{len(to_stdout)} outputs are '{STDOUT}', stdout, which has room for one. Give the "
             'others names.')
     for name in files:
-        bag_folder.require_no_input(name, read)
+        atomic.require_no_input(name, read)
         if isinstance(name, Folder) and os.path.isdir(name):
             require_absent(name, arguments.force)
         targets.append(Path(os.path.realpath(

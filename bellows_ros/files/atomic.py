@@ -1,31 +1,22 @@
 """
-Atomic output: written next to its target, then renamed.
+Output that is written whole or not at all: beside its target, then renamed.
 
 A process that is killed leaves the old output or the new one, and at most a hidden file or folder
-next to it.
+beside it.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-import ctypes
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 import os
 from pathlib import Path
 import secrets
 import shutil
-import stat
 import sys
-import time
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 
-# Constants of renameat2(2): relative names start at the working folder; exchange of two files.
-_HERE, _EXCHANGE = -100, 2
-
 PREFIX = '.bellows-'
-
-ABANDONED = 86400.0
-"""Age (s) above which a hidden file or folder is assumed to be left by a killed run."""
 
 
 def write_text(path: File, text: str) -> None:
@@ -55,39 +46,14 @@ def write_bytes(path: File, data: bytes) -> None:
 
     """
     target = require_file_target(path)
-    temporary = _temporary_path(target)
-    try:
+    with _beside(path, target) as temporary:
         with temporary.open('xb') as file:
             if target.exists():
-                os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
+                os.fchmod(file.fileno(), target.stat().st_mode & 0o777)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, target)
-        _sync(target.parent)
-    except OSError as error:
-        raise _failed(path, error) from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
-
-
-def require_file_target(path: File) -> Path:
-    """
-    Return the path of an output file, checked before its content is computed.
-
-    Raises
-    ------
-    BellowsError
-        If its folder does not exist, or the path is taken by something other than a plain file.
-
-    """
-    target = require_folder_target(path, follow=True)
-    if target.exists() and not target.is_file():
-        what = 'a folder: name a file in it' if target.is_dir() else (
-            'not a plain file: give another name')
-        raise BellowsError(f"Output '{path}' is {what}.")
-    return target
 
 
 @contextmanager
@@ -116,19 +82,48 @@ def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
     target = require_folder_target(path)
     if os.path.lexists(target) and not (replace and target.is_dir() and not target.is_symlink()):
         raise BellowsError(f"Output '{path}' exists. Give another name, or remove it first.")
-    try:
-        work = _temporary_path(target)
+    with _beside(path, target) as work:
         work.mkdir()
-        finished = work / target.name
-        try:
-            yield finished
-            for part in [*finished.rglob('*'), finished]:
-                _sync(part)
-            _move_into_place(work, target, replace)
-        finally:
-            shutil.rmtree(work, ignore_errors=True)
+        yield work / target.name
+        for file in (work / target.name).iterdir():
+            with file.open('rb') as stream:
+                os.fsync(stream.fileno())
+        if replace and target.exists():
+            os.rename(target, work / 'replaced')
+        if os.path.lexists(target):
+            raise FileExistsError(f"'{target}' has appeared in the meantime")
+        os.rename(work / target.name, target)
+
+
+@contextmanager
+def _beside(path: File, target: Path) -> Iterator[Path]:
+    """Provide a hidden path in the folder of a target, and remove what is left of it."""
+    work = target.with_name(f'{PREFIX}{os.getpid()}-{secrets.token_hex(4)}.tmp')
+    try:
+        yield work
     except OSError as error:
         raise _failed(path, error) from None
+    finally:
+        if work.is_dir():
+            shutil.rmtree(work, ignore_errors=True)
+        else:
+            work.unlink(missing_ok=True)
+
+
+def require_file_target(path: File) -> Path:
+    """
+    Return the path of an output file, checked before its content is computed.
+
+    Raises
+    ------
+    BellowsError
+        If its folder does not exist, or the path is taken by something other than a plain file.
+
+    """
+    target = require_folder_target(path, follow=True)
+    if target.exists() and not target.is_file():
+        raise BellowsError(f"Output '{path}' is no plain file. Give the name of a file.")
+    return target
 
 
 def require_folder_target(path: File, follow: bool = False) -> Path:
@@ -150,58 +145,36 @@ def require_folder_target(path: File, follow: bool = False) -> Path:
     """
     try:
         target = Path(path).resolve() if follow else Path(os.path.abspath(path))
-        with suppress(FileNotFoundError, NotADirectoryError):
-            os.lstat(target)
-        no_folder = not target.parent.is_dir()
+        is_there = target.parent.is_dir()
+        target.exists()  # raises for a name that is too long
     except (OSError, ValueError, RuntimeError) as error:
         raise _failed(path, error) from None
-    if no_folder:
+    if not is_there:
         raise BellowsError(
             f"Output '{path}': folder '{target.parent}' does not exist. Make it first.")
     return target
 
 
-def _move_into_place(work: Path, target: Path, replace: bool) -> None:
-    """Rename the finished folder, or exchange it with the one that it replaces."""
-    finished = work / target.name
-    if replace and target.exists():
-        if not _exchange(finished, target):  # with a moment without either
-            os.rename(target, work / 'replaced')
-            os.rename(finished, target)
-    elif os.path.lexists(target):
-        raise FileExistsError(f"'{target}' has appeared in the meantime")
-    else:
-        os.rename(finished, target)
-    _sync(target.parent)
+def require_no_input(path: File, inputs: Iterable[File]) -> None:
+    """
+    Raise for output that is an input, is inside an input recording, or contains an input.
 
+    Raises
+    ------
+    BellowsError
+        If the output would replace or change an input.
 
-def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; return whether the system supports it."""
-    try:
-        rename = ctypes.CDLL(None).renameat2
-    except AttributeError:  # not Linux
-        return False
-    names = (_HERE, os.fsencode(one), _HERE, os.fsencode(other))
-    return bool(rename(*names, _EXCHANGE) == 0)
-
-
-def _temporary_path(target: Path) -> Path:
-    """Return a hidden path in the folder of a target; remove the paths of killed runs."""
-    for path in target.parent.glob(f'{PREFIX}*.tmp'):
-        with suppress(OSError):
-            if time.time() - path.lstat().st_mtime > ABANDONED:
-                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
-    return target.with_name(f'{PREFIX}{os.getpid()}-{secrets.token_hex(4)}.tmp')
-
-
-def _sync(path: Path) -> None:
-    """Flush a file, or the names in a folder, to disk if the file system supports it."""
-    with suppress(OSError):
-        descriptor = os.open(path, os.O_RDONLY)
+    """
+    for name in inputs:
         try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+            target, source = (Path(os.path.realpath(each)) for each in (path, name))
+        except (OSError, ValueError) as error:
+            raise _failed(path, error) from None
+        if (source.parent / 'metadata.yaml').exists():  # a storage file of a recording
+            source = source.parent
+        if target == source or source in target.parents or target in source.parents:
+            raise BellowsError(
+                f"Output '{path}' would change the input '{name}'. Give a name elsewhere.")
 
 
 def _failed(path: File, error: Exception) -> BellowsError:

@@ -5,40 +5,28 @@ The bytes depend only on content, name and version of rosbags.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 import heapq
 from itertools import repeat
 from pathlib import Path
 import sqlite3
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_folder, bags, File, messages
+from bellows_ros.files import atomic, bags, File, messages
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 
-@dataclass(frozen=True, eq=False)
-class Encoded:
-    """
-    Messages to record on one topic.
-
-    Parameters
-    ----------
-    topic, type_name : str
-    stamps_ns : int array (N,)
-        Times of receipt, ns, in order.
-    data : sequence of bytes, or array (N,) of raw bytes
-        Messages as CDR with the four-byte head.
-
-    """
+class Encoded(NamedTuple):
+    """Messages to record on a topic: times of receipt (ns) in order, and CDR with its head."""
 
     topic: str
     type_name: str
     stamps_ns: Stamps
-    data: Sequence[bytes] | np.ndarray
+    data: Any
 
 
 def as_messages(
@@ -108,7 +96,7 @@ def write_bag(
     if not any(len(r.stamps_ns) for r in recorded):
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
     if replace:
-        require_replaceable(Path(path))
+        _require_replaceable(Path(path))
     with atomic.new_folder(path, replace) as folder:
         # ROS 2 Jazzy writes version 9 of metadata.yaml.
         writer = Writer(folder, version=9, storage_plugin=STORAGES[storage])
@@ -118,27 +106,29 @@ def write_bag(
                 CompressionFormat.ZSTD)
         try:
             with writer:
-                names = [(r.topic, r.type_name) for r in recorded]
-                connections = {
-                    name: writer.add_connection(*name, typestore=bags.message_types())
-                    for name in dict.fromkeys(names)}
-                streams = [zip(map(int, r.stamps_ns), repeat(number), map(bytes, r.data))
-                           for number, r in enumerate(recorded)]
-                for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
-                    writer.write(connections[names[number]], log_time_ns, data)
+                _write(writer, recorded)
         except sqlite3.Error as error:  # a full disk, reported by the system's message
             raise OSError(f'SQLite says {error}') from None
 
 
-def require_replaceable(folder: Path) -> None:
+def _write(writer: Writer, recorded: Sequence[Encoded]) -> None:
+    """Write messages in the order of their receipt."""
+    names = [(r.topic, r.type_name) for r in recorded]
+    connections = {name: writer.add_connection(*name, typestore=bags.message_types())
+                   for name in dict.fromkeys(names)}
+    streams = [zip(map(int, r.stamps_ns), repeat(number), map(bytes, r.data))
+               for number, r in enumerate(recorded)]
+    for log_time_ns, number, data in heapq.merge(*streams, key=lambda m: m[:2]):
+        writer.write(connections[names[number]], log_time_ns, data)
+
+
+def _require_replaceable(folder: Path) -> None:
     """Raise for a folder that contains anything but a recording."""
-    if not folder.is_dir():
-        return
-    names = [p.name for p in folder.iterdir()]
-    strange = [name for name in names if name != bag_folder.METADATA
-               and not name.endswith(bag_folder.STORAGE_SUFFIXES)]
-    if strange or bag_folder.METADATA not in names:
-        why = f"it holds '{strange[0]}'" if strange else f'it has no {bag_folder.METADATA}'
+    names = [p.name for p in folder.iterdir()] if folder.is_dir() else [bags.METADATA]
+    strange = [name for name in names if name != bags.METADATA
+               and not name.endswith(('.mcap', '.db3', '.zstd'))]
+    if strange or bags.METADATA not in names:
+        why = f"it holds '{strange[0]}'" if strange else f'it has no {bags.METADATA}'
         raise BellowsError(
             f"Folder '{folder}' is not replaced because it is not just a recording: {why}. "
             'Give another name, or remove it first.')

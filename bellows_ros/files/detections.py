@@ -22,7 +22,7 @@ from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
 from bellows_ros.files.bags import absolute, Contents
 from bellows_ros.files.messages import CAMERA_INFO, DETECTIONS
-from bellows_ros.files.plans import moving_frames, read_transforms, TF
+from bellows_ros.files.plan_messages import ns_of, pose_of
 import numpy as np
 
 TF_TOPIC = '/tf'
@@ -70,7 +70,8 @@ def read_contents(
         kinds = {topic.name: topic.type_name for topic in bags.topics(path) if topic.messages}
         for role in missing:
             topic = absolute(wanted[role])
-            if kinds.get(topic) in (DETECTIONS, TF) and not role.endswith('twist'):
+            if not role.endswith('twist') and kinds.get(topic) in (
+                    DETECTIONS, messages.TRANSFORMS):
                 try:
                     contents.streams[role] = (
                         _poses(read_views(path, topic, tag.number, tag.rectified), tag.side)
@@ -92,22 +93,20 @@ def poses_on_tf(path: File, child: str) -> PoseStream:
 
     """
     name = child.lstrip('/')
-    transforms = [each for each in read_transforms(path) if not each.is_fixed]
-    own = [each for each in transforms if each.child == name]
-    parents = sorted({each.parent for each in own})
+    found = [each for topic, _, message in bags.messages_of(path, {messages.TRANSFORMS})
+             if not topic.endswith('/tf_static') for each in message.transforms]
+    own = sorted((ns_of(each.header.stamp), each.header.frame_id.lstrip('/'), each.transform)
+                 for each in found if each.child_frame_id.lstrip('/') == name)
+    parents = sorted({parent for _, parent, _ in own})
     if len(parents) != 1:
-        moving = ', '.join(map(shown, moving_frames(transforms)))
+        others = ', '.join(map(shown, sorted({each.child_frame_id for each in found})))
         what = f"has the parents {', '.join(map(shown, parents))}" if own else 'is not there'
         raise BellowsError(
             f"Frame '{shown(name)}' of measured.child_frame {what} on /tf in recording "
-            f"'{Path(path)}'. Frames that move: {moving or 'none'}. Name one with one parent.")
-    data = [messages.pack(messages.TRANSFORM, (parents[0], name), each.sample.stamp_ns,
-                          *each.sample.position, *each.sample.quaternion_xyzw) for each in own]
-    layout = messages.LAYOUTS[messages.TRANSFORM]
-    frames: dict[tuple[str, ...], int] = {}
-    decoded = messages.decode(
-        data, [each.sample.stamp_ns for each in own], layout, layout.pose or slice(0), frames)
-    return messages.pose_stream(f'/tf, {name}', decoded, list(frames))
+            f"'{Path(path)}'. Frames: {others or 'none'}. Name one with one parent.")
+    rows = [(stamp, stamp, 0, pose_of(each.translation, each.rotation)) for stamp, _, each in own]
+    return messages.pose_stream(
+        f'/tf, {name}', np.array(rows, messages.rows(7)), [(parents[0], name)])
 
 
 def _poses(views: CornerViews, side: float) -> Any:
@@ -148,8 +147,8 @@ def read_views(
         number is given.
 
     """
-    arrays = [(log_ns, bags.decoded(data, DETECTIONS))
-              for _, log_ns, data in bags.messages_of(path, {DETECTIONS}, topic)]
+    arrays = [(log_ns, array) for _, log_ns, array
+              in bags.messages_of(path, {DETECTIONS}, topic)]
     number = _number_of(topic, path, [array for _, array in arrays], number)
     frame = Counter(array.header.frame_id for _, array in arrays).most_common(1)[0][0]
     of_frame: dict[str, list[int]] = defaultdict(list)
@@ -190,10 +189,9 @@ def _number_of(topic: str, path: File, arrays: list[Any], number: int) -> int:
 def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:
     """Return the camera of a frame, and the topic of its calibration."""
     found: dict[Camera, str] = {}
-    for topic, _, data in bags.messages_of(path, {CAMERA_INFO}):
-        info = bags.decoded(data, CAMERA_INFO)
+    for topic, _, info in bags.messages_of(path, {CAMERA_INFO}):
         if info.header.frame_id == frame:
-            found.setdefault(camera_of(info, rectified), topic.name)
+            found.setdefault(camera_of(info, rectified), topic)
     if not found:
         raise BellowsError(
             f"Recording '{Path(path)}' has no {CAMERA_INFO} of the frame '{frame}', in which tags "

@@ -152,11 +152,11 @@ class Decoder:
 def _form(kind: str, names: tuple[str, ...]) -> tuple[struct.Struct, bytes, bytes]:
     """Return the form of messages with given names, their first bytes, and the names' bytes."""
     layout = LAYOUTS[kind]
-    data = head = with_number(HEAD, 1) if layout.in_list else HEAD
-    data += bytes(_STRINGS_AT - _STAMP_AT)
+    head = HEAD + struct.pack('<I', 1) * layout.in_list
+    data = head + bytes(_STRINGS_AT - _STAMP_AT)
     at = len(data)
-    for name in names:
-        data = with_text(data, name)
+    for raw in (name.encode() + b'\0' for name in names):
+        data += bytes(-len(data) % 4) + struct.pack('<I', len(raw)) + raw
     padding = _doubles_at(len(data)) - len(data)
     return (struct.Struct(f'<{len(head)}siI{len(data) - at}s{padding}x{layout.doubles}d'), head,
             data[at:])
@@ -205,131 +205,58 @@ def decode(
     Returns
     -------
     structured array (N,)
-        Stamp and arrival (ns), frame (its index; -1 if the message could not be decoded), and
-        values, the requested doubles.
+        Fields of `rows`; the frame is -1 if the message could not be decoded.
 
     """
-    decoded = np.zeros(len(messages), [
-        ('stamp', 'i8'), ('arrival', 'i8'), ('frame', 'i8'),
-        ('values', 'f8', (part.stop - part.start,))])
-    latest = max(log_times_ns, default=0)
-    decoded['arrival'] = np.maximum(
-        log_times_ns if latest <= LATEST_NS else [min(x, LATEST_NS) for x in log_times_ns], 0)
+    decoded = np.zeros(len(messages), rows(part.stop - part.start))
+    decoded['arrival'] = [min(max(x, 0), LATEST_NS) for x in log_times_ns]
     decoded['frame'] = -1
-    for (size, head, strings), (names, members) in same_layout(messages, layout.strings).items():
+    groups, end = dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]](), 0
+    for i, message in enumerate(messages):  # of a group, only stamps and doubles differ
+        key = len(message), message[:_STAMP_AT], message[_STRINGS_AT:end]
+        if key not in groups:
+            names, end = _strings(message, layout.strings)
+            if not end:
+                continue
+            key = *key[:2], message[_STRINGS_AT:end]
+            groups.setdefault(key, (names, []))
+        groups[key][1].append(i)
+    for (size, head, strings), (names, members) in groups.items():
         doubles_at = _doubles_at(_STRINGS_AT + len(strings))
         padding = size - doubles_at - 8 * layout.doubles
         if size > MAX_MESSAGE_BYTES or not 0 <= padding <= _MAX_PADDING:
             continue
         dtype = _dtype('<' if head[1] else '>', doubles_at, size, layout)
-        rows = np.frombuffer(b''.join([messages[i] for i in members]), dtype)
+        parts = np.frombuffer(b''.join([messages[i] for i in members]), dtype)
         index = np.array(members)
-        decoded['stamp'][index] = rows['sec'].astype(np.int64) * NS_PER_S + rows['nanosec']
-        decoded['values'][index] = rows['doubles'][:, part]
-        sound = (rows['sec'] >= 0) & (rows['nanosec'] < NS_PER_S)
+        decoded['stamp'][index] = parts['sec'].astype(np.int64) * NS_PER_S + parts['nanosec']
+        decoded['values'][index] = parts['doubles'][:, part]
+        sound = (parts['sec'] >= 0) & (parts['nanosec'] < NS_PER_S)
         decoded['frame'][index[sound]] = numbers.setdefault(names, len(numbers))
     return decoded
 
 
-def same_layout(
-    messages: Sequence[bytes], strings: int
-) -> dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]]:
-    """
-    Return groups of messages that differ only in the stamp and the doubles.
-
-    Messages of a group have equal sizes, heads and strings. A group consists of its strings and
-    the indices of its messages; messages with damaged strings are omitted.
-    """
-    groups: dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]] = {}
-    if messages and len(set(map(len, messages))) == 1:
-        one = messages[0]
-        names, end = _strings(one, strings)
-        rows = np.frombuffer(b''.join(messages), np.uint8).reshape(len(messages), -1)
-        if end and np.all(rows[:, _STRINGS_AT:end] == rows[0, _STRINGS_AT:end]) and np.all(
-                rows[:, :_STAMP_AT] == rows[0, :_STAMP_AT]):
-            return {(len(one), one[:_STAMP_AT], one[_STRINGS_AT:end]): (
-                names, list(range(len(messages))))}
-    end = 0  # end of the previous message's strings, usually equal
-    for i, message in enumerate(messages):
-        key = len(message), message[:_STAMP_AT], message[_STRINGS_AT:end]
-        if key not in groups:
-            names, end = _strings(message, strings)
-            if not end:
-                continue
-            key = (*key[:2], message[_STRINGS_AT:end])
-            groups.setdefault(key, (names, []))
-        groups[key][1].append(i)
-    return groups
-
-
-class Reader:
-    """Reader of a message by fields; positions count from its body."""
-
-    def __init__(self, data: bytes) -> None:
-        if data[:2] not in (b'\0\0', b'\0\1'):
-            raise _damaged('it is not plain CDR')
-        self.order = '<' if data[1] else '>'
-        self.body, self.at = memoryview(data)[4:], 0
-
-    def number(self, kind: str = 'I') -> int:
-        """Return a four-byte integer."""
-        self.at += -self.at % 4
-        if self.at + 4 > len(self.body):
-            raise _damaged('it ends too early')
-        (value,) = struct.unpack_from(self.order + kind, self.body, self.at)
-        self.at += 4
-        return int(value)
-
-    def text(self) -> str:
-        """Return a string."""
-        size = self.number()
-        raw = bytes(self.body[self.at:self.at + size])
-        self.at += size
-        if len(raw) != size or raw[-1:] != b'\0':
-            raise _damaged('a string in it does not end')
-        try:
-            return raw[:-1].decode()
-        except UnicodeDecodeError:
-            raise _damaged('a string in it is not UTF-8') from None
-
-    def skip_list(self, doubles: int) -> int:
-        """Skip a list of items, each with a number of doubles; return the number of items."""
-        count = self.number()
-        if count:
-            self.at += -self.at % 8 + 8 * doubles * count
-        return count
-
-    def rows(self, dtype: np.dtype[np.void], count: int) -> np.ndarray:
-        """Return consecutive structures."""
-        if self.at + count * dtype.itemsize > len(self.body):
-            raise _damaged('it ends too early')
-        return np.frombuffer(self.body, dtype, count, self.at)
-
-
-def _damaged(why: str) -> BellowsError:
-    """Return the error for a message that cannot be decoded."""
-    return BellowsError(f'A message cannot be decoded: {why}. Send it as ROS does.')
-
-
-def with_number(data: bytes, number: int) -> bytes:
-    """Return data followed by an integer."""
-    return data + bytes(-len(data) % 4) + struct.pack('<I', number)
-
-
-def with_text(data: bytes, text: str) -> bytes:
-    """Return data followed by a string."""
-    raw = text.encode() + b'\0'
-    return with_number(data, len(raw)) + raw
+def rows(width: int) -> np.dtype[np.void]:
+    """Return the type of decoded messages: stamp, arrival (ns), index of the frame, values."""
+    return np.dtype([('stamp', 'i8'), ('arrival', 'i8'), ('frame', 'i8'), ('values', 'f8', width)])
 
 
 def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
-    """Return the strings after a stamp, and the position of their end; 0 for damaged strings."""
-    try:
-        reader = Reader(message)
-        reader.at = _STRINGS_AT - _STAMP_AT
-        return tuple(reader.text() for _ in range(count)), _STAMP_AT + reader.at
-    except BellowsError:
+    """Return the strings after a stamp, and the position of their end; (), 0 for damaged ones."""
+    names, at = list[str](), _STRINGS_AT
+    if message[:2] not in (b'\0\0', b'\0\1'):
         return (), 0
+    try:
+        for _ in range(count):
+            at += -at % 4
+            (size,) = struct.unpack_from('<I' if message[1] else '>I', message, at)
+            raw, at = message[at + 4:at + 4 + size], at + 4 + size
+            if len(raw) != size or raw[-1:] != b'\0':
+                return (), 0
+            names.append(raw[:-1].decode())
+    except (struct.error, UnicodeDecodeError):
+        return (), 0
+    return tuple(names), at
 
 
 def _doubles_at(end: int) -> int:
@@ -381,18 +308,11 @@ def encode_bool(value: bool) -> bytes:
     return HEAD + bytes([value])
 
 
-def decode_bool(message: bytes) -> bool | None:
-    """Return the value of a std_msgs/Bool, or None if it is damaged."""
-    sound = len(message) > 4 and message[0] == 0 and message[1] <= 1 and message[4] <= 1
-    return bool(message[4]) if sound else None
-
-
 Refused = dict[str, tuple[int, ...]]
 Frames = Sequence[tuple[str, ...]]
 
-REASONS: Mapping[str, str] = {reason: text for table in tomllib.loads(
-    Path(__file__).with_name('refusals.toml').read_text()).values()
-    for reason, text in table.items()}
+REASONS: Mapping[str, str] = tomllib.loads(
+    Path(__file__).with_name('refusals.toml').read_text())
 """Reasons for rejecting messages, in words."""
 
 
@@ -401,6 +321,35 @@ def describe(refused: Mapping[str, tuple[int, ...]]) -> str:
     return ', '.join(
         f'{len(indices)} x {REASONS.get(reason, reason)} (first: message {indices[0]})'
         for reason, indices in refused.items() if indices) or 'none'
+
+
+def stream_of(
+    role: str, topic: tuple[str, str], log_times_ns: Sequence[int], data: Sequence[bytes]
+) -> PoseStream | TwistStream:
+    """
+    Return the usable messages of a topic (name, type) for a role; of 'measured' by stamps.
+
+    Raises
+    ------
+    BellowsError
+        If no message is usable.
+
+    """
+    name, kind = topic
+    layout, is_measured = LAYOUTS[kind], role == 'measured'
+    in_pairs = role.endswith(('twist', 'wrench'))
+    part = (layout.twist or slice(0, 6)) if in_pairs else layout.pose or slice(0, 7)
+    part = slice(part.start, part.stop + layout.pose_covariance * is_measured)
+    frames: dict[tuple[str, ...], int] = {}
+    decoded = decode(data, log_times_ns, layout, part, frames)
+    order = np.argsort(decoded['stamp' if is_measured else 'arrival'], kind='stable')
+    make = twist_stream if in_pairs else pose_stream
+    stream: PoseStream | TwistStream = make(name, decoded[order], list(frames))
+    if not len(stream):
+        raise BellowsError(
+            f'has no usable message. Of {len(decoded)}: {describe(stream.refused)}. Check what '
+            'publishes it, and record again.')
+    return stream
 
 
 def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
@@ -412,7 +361,7 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
     name : str
         Topic.
     decoded : array (N,)
-        Result of `decode` in the recorded order; values are x, y, z, the quaternion (x, y, z, w),
+        Rows in the recorded order; values are x, y, z, the quaternion (x, y, z, w),
         and, if requested, the covariance.
     frames : sequence of tuple of str
         Names of the frames by index: frame_id, and child_frame_id if the type has one.

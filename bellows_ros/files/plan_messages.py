@@ -1,8 +1,8 @@
 """
-Plans as messages: MultiDOFJointTrajectory and Path as CDR, and JointTrajectory.
+Plans of points, and their messages MultiDOFJointTrajectory, Path and JointTrajectory as CDR.
 
-Points have a constant spacing in memory, as doubles are aligned to 8: NumPy reads and writes a
-plan of 2,000 points in the time of 20 Python objects.
+Points have a constant spacing in memory, as doubles are aligned to 8: NumPy writes a plan of 2,000
+points in the time of 20 Python objects.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, require_names, shown
-from bellows_ros.files.messages import HEAD, Reader, with_number, with_text
+from bellows_ros.files.messages import HEAD
 import numpy as np
 
 MULTI_DOF = 'trajectory_msgs/msg/MultiDOFJointTrajectory'
@@ -61,62 +61,15 @@ class PlanMessage:
                 'with 1 transform; expected 1 name. Send a plan of the tool alone.')
 
 
-def decode_multi_dof(data: bytes) -> PlanMessage:
-    """
-    Decode a MultiDOFJointTrajectory of one joint.
-
-    Raises
-    ------
-    BellowsError
-        If the message is damaged, has several joints or names, or points with different fields.
-
-    """
-    reader = Reader(data)
-    stamp_ns = reader.number('i') * NS_PER_S + reader.number()
-    frame_id = reader.text()
-    names = tuple(reader.text() for _ in range(min(reader.number(), 100)))
-    count = reader.number()
-    require_count(count, 'The plan')
-    first = reader.at
-    parts = tuple(reader.skip_list(doubles) for doubles in (7, 6, 6))
-    if parts[0] != 1 or max(parts) > 1:
-        raise BellowsError(
-            f'The plan has points with {parts[0]} transforms, {parts[1]} velocities and '
-            f'{parts[2]} accelerations; expected 1 transform, and 0 or 1 of the others: a plan is '
-            'of one thing, the tool.')
-    reader.at = first
-    # The first point may have another padding.
-    rows = [_points(reader, parts, 1), _points(reader, parts, count - 1)]
-    times = [each['sec'].astype(np.int64) * NS_PER_S + each['nanosec'] for each in rows]
-    poses, twists, accelerations = (
-        np.concatenate([each[name] for each in rows]).astype(float) if size else None
-        for name, size in zip('abc', parts, strict=True))
-    assert poses is not None  # parts[0] is 1
-    return PlanMessage(
-        stamp_ns, frame_id, names, np.concatenate(times), poses, twists, accelerations)
-
-
-def _points(reader: Reader, parts: tuple[int, ...], count: int) -> np.ndarray:
-    """Return points with equal layout; the parts of a point are called a, b and c."""
-    rows = reader.rows(_structure(_point(reader.order, parts), reader.at % 8), count)
-    for name, size in zip('abc', parts, strict=True):
-        if (rows[f'n{name}'] != size).any():
-            raise BellowsError(
-                'The plan has points that differ in what they have; expected the same of all: '
-                'velocities and accelerations of every point, or of none.')
-    reader.at += rows.nbytes
-    return rows
-
-
 FieldTypes = tuple[tuple[str, str], ...]
 """Names and formats."""
 
 
-def _point(order: str, parts: tuple[int, ...]) -> FieldTypes:
+def _point(parts: tuple[int, ...]) -> FieldTypes:
     """Return the fields of a point; the field nX is the number of items of part X."""
-    fields = [('sec', f'{order}i4'), ('nanosec', f'{order}u4')]
+    fields = [('sec', '<i4'), ('nanosec', '<u4')]
     for name, size, doubles in zip('cba', parts[::-1], (6, 6, 7), strict=True):
-        fields[:0] = [(f'n{name}', f'{order}u4'), *[(name, f'({doubles},){order}f8')] * size]
+        fields[:0] = [(f'n{name}', '<u4'), *[(name, f'({doubles},)<f8')] * size]
     return tuple(fields)
 
 
@@ -152,7 +105,7 @@ def encode_multi_dof(plan: PlanMessage) -> bytes:
     values = (plan.poses, plan.twists, plan.accelerations)
     parts = tuple(int(value is not None) for value in values)
     seconds, nanoseconds = np.divmod(plan.times_ns, NS_PER_S)
-    return _encode(head, _point('<', parts), {
+    return _encode(head, _point(parts), {
         'sec': seconds, 'nanosec': nanoseconds, **dict(zip('abc', values, strict=True)),
         **dict(zip(('na', 'nb', 'nc'), parts, strict=True))})
 
@@ -172,8 +125,7 @@ def encode_joints(
 
 def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) -> bytes:
     """Encode a Path, little-endian: poses (N, 7) at times (ns) from the stamp."""
-    head = with_number(_header(stamp_ns, frame_id), len(times_ns))
-    text = frame_id.encode() + b'\0'
+    head, text = _head(stamp_ns, frame_id, None, len(times_ns)), frame_id.encode() + b'\0'
     seconds, nanoseconds = np.divmod(stamp_ns + np.asarray(times_ns), NS_PER_S)
     fields = (('sec', '<i4'), ('nanosec', '<u4'), ('size', '<u4'), ('text', f'S{len(text)}'),
               ('pose', '(7,)<f8'))
@@ -181,17 +133,18 @@ def encode_path(stamp_ns: int, frame_id: str, times_ns: Stamps, poses: Array) ->
         'sec': seconds, 'nanosec': nanoseconds, 'size': len(text), 'text': text, 'pose': poses})
 
 
-def _head(stamp_ns: int, frame_id: str, names: Sequence[str], points: int) -> bytes:
-    """Return the bytes before the points of a trajectory."""
-    head = with_number(_header(stamp_ns, frame_id), len(names))
-    for name in names:
-        head = with_text(head, name)
-    return with_number(head, points)
+def _head(stamp_ns: int, frame_id: str, names: Sequence[str] | None, points: int) -> bytes:
+    """Return the bytes before the points of a trajectory; a Path has no names of joints."""
+    head = struct.pack('<iI', *divmod(stamp_ns, NS_PER_S)) + _text(frame_id)
+    if names is not None:
+        head += struct.pack('<I', len(names)) + b''.join(map(_text, names))
+    return head + struct.pack('<I', points)
 
 
-def _header(stamp_ns: int, frame_id: str) -> bytes:
-    """Return a header."""
-    return with_text(struct.pack('<iI', *divmod(stamp_ns, NS_PER_S)), frame_id)
+def _text(text: str) -> bytes:
+    """Return a string with its length, padded to a multiple of 4."""
+    raw = text.encode() + b'\0'
+    return struct.pack('<I', len(raw)) + raw + bytes(-len(raw) % 4)
 
 
 def require_frame(frame_id: str, values: Values) -> None:
@@ -279,3 +232,59 @@ def ns_of(stamp: Any) -> int:
 def durations_of(points: Sequence[Any]) -> Stamps:
     """Return the times of points from the start, ns."""
     return np.array([ns_of(point.time_from_start) for point in points], dtype=np.int64)
+
+
+def plans_of(message: Any) -> list[PlanMessage | JointPlan]:
+    """Return the plans in a message of rclpy, rosbags or YAML, of one of `plans.PLAN_TYPES`."""
+    if hasattr(message, 'poses'):
+        return [path_points(message)]
+    if hasattr(message, 'trajectory') or hasattr(message, 'joint_trajectory'):
+        return [  # RobotTrajectory: of joints, or otherwise of a body
+            joint_plan(each.joint_trajectory) if each.joint_trajectory.points
+            else multi_dof(each.multi_dof_joint_trajectory)
+            for each in getattr(message, 'trajectory', [message])
+            if each.joint_trajectory.points or each.multi_dof_joint_trajectory.points]
+    require_count(len(message.points or ()), 'The plan')
+    is_of_tool = hasattr(message.points[0], 'transforms')
+    return [multi_dof(message) if is_of_tool else joint_plan(message)]
+
+
+def multi_dof(message: Any) -> PlanMessage:
+    """Return the points of a MultiDOFJointTrajectory."""
+    points = message.points
+    transforms, *rates = (lists_of(points, part, 1)
+                          for part in ('transforms', 'velocities', 'accelerations'))
+    if transforms is None:
+        raise BellowsError('The plan has points without transforms; expected one of each.')
+    poses = np.array([pose_of(each.translation, each.rotation) for (each,) in transforms])
+    twists, accelerations = (
+        None if lists is None else np.array(
+            [(*_vector(each.linear), *_vector(each.angular)) for (each,) in lists])
+        for lists in rates)
+    return PlanMessage(
+        ns_of(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
+        durations_of(points), poses, twists, accelerations)
+
+
+def path_points(message: Any) -> PlanMessage:
+    """Return the points of a Path, with times from the first pose."""
+    require_count(len(message.poses), 'The plan')
+    frames = {pose.header.frame_id for pose in message.poses} - {message.header.frame_id, ''}
+    if frames:
+        raise BellowsError(
+            f"The plan is in frame '{message.header.frame_id}', but has poses in "
+            f"'{sorted(frames)[0]}'; expected one frame. Transform them before.")
+    stamps = np.array([ns_of(pose.header.stamp) for pose in message.poses])
+    poses = np.array([pose_of(p.pose.position, p.pose.orientation) for p in message.poses])
+    return PlanMessage(
+        ns_of(message.header.stamp), message.header.frame_id, ('tool',), stamps - stamps[0], poses)
+
+
+def _vector(vector: Any) -> tuple[float, float, float]:
+    """Return the numbers of a vector."""
+    return float(vector.x), float(vector.y), float(vector.z)
+
+
+def pose_of(vector: Any, q: Any) -> tuple[float, ...]:
+    """Return position and quaternion xyzw of a pose or transform."""
+    return (*_vector(vector), float(q.x), float(q.y), float(q.z), float(q.w))

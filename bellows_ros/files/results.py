@@ -6,9 +6,10 @@ undetermined number. Counts, stamps in ns and rates in Hz have the unit in their
 numbers of a fit have their units in `units` or `unit` of the same mapping.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
+import hashlib
 from importlib import metadata
 import json
 import math
@@ -20,12 +21,9 @@ from typing import Any
 
 from bellows_ros.core.identification.result import POSE_UNITS, UNITS
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, File, read_text
-from bellows_ros.files.bag_folder import digests
+from bellows_ros.files import atomic, File
 from bellows_ros.version import __version__
 import numpy as np
-
-MAX_FILE_BYTES = 64 * 2**20
 
 UNIT_OF: Mapping[str, Any] = {
     **{name: [[units[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]
@@ -69,67 +67,6 @@ def format_json(content: Any) -> str:
     return _text(plain(content), '') + '\n'
 
 
-def read_result(path: File) -> dict[str, Any]:
-    """
-    Read the result of a fit.
-
-    Returns
-    -------
-    dict
-        Content by key; None is an unknown number.
-
-    Raises
-    ------
-    BellowsError
-        If the file cannot be read, or is not the result of a fit; `content_of` reports damage in
-        it.
-
-    """
-    text = read_text(path, MAX_FILE_BYTES, 'Result')
-    try:
-        content = json.loads(text, parse_constant=_refuse_constant)
-    except RecursionError:
-        raise BellowsError(f"Result '{path}' is nested too deeply to be read.") from None
-    except ValueError as error:
-        what = f'line {error.lineno}' if isinstance(error, json.JSONDecodeError) else error
-        raise BellowsError(f"Result '{path}' is not JSON ({what}). Give what 'bellows identify "
-                           "--json' wrote.") from None
-    if not isinstance(content, dict) or 'stiffness' not in content:
-        raise BellowsError(
-            f"Result '{path}' has no stiffness. Give what 'bellows identify --json' wrote.")
-    return content
-
-
-@contextmanager
-def content_of(*paths: File) -> Iterator[None]:
-    """
-    Add the names of the files to errors if their content is not the result of a fit.
-
-    Raises
-    ------
-    BellowsError
-        Instead of the exception for a missing key, another type or an impossible number.
-
-    """
-    try:
-        yield
-    except BellowsError as error:
-        names = "' and '".join(os.fspath(path) for path in paths)
-        raise type(error)(f"Of '{names}': {error}") from None
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        names = "' or '".join(os.fspath(path) for path in paths)
-        missing = isinstance(error, KeyError)
-        what = f'{str(error)[:60]} is missing' if missing else f'{str(error)[:100]}'
-        raise BellowsError(
-            f"Result '{names}' is damaged, or was changed by hand: {what}. "
-            "Make it again with 'bellows identify --json'.") from None
-
-
-def _refuse_constant(name: str) -> None:
-    """Raise for NaN and infinity, which are not JSON."""
-    raise ValueError(f'{name} is not allowed, null stands for an unknown number')
-
-
 def plain(value: Any, units: bool = False) -> Any:
     """
     Return a result as plain JSON types.
@@ -154,16 +91,11 @@ def plain(value: Any, units: bool = False) -> Any:
         return value if math.isfinite(value) else None
     if isinstance(value, PurePath):
         return str(value)
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    raise BellowsError(f'A result cannot hold {type(value).__name__}: {value!r:.80}.')
+    return value
 
 
 def with_units(content: Mapping[str, Any], add: bool = True) -> dict[str, Any]:
     """Return a result as plain JSON types, and add the units of its numbers."""
-    for key in content:
-        if not isinstance(key, str):
-            raise BellowsError(f'A result cannot hold the key {key!r:.80}: keys are strings.')
     items = {key: plain(item, add and key not in UNITLESS and UNIT_OF.get(key) != '1')
              for key, item in content.items()}  # all numbers in a mapping of ratios are ratios
     units = {key: UNIT_OF[name] for key, item in content.items() if add and item is not None
@@ -187,6 +119,33 @@ def _text(value: Any, indent: str) -> str:
         items = [f'{inner}{_text(x, inner)}' for x in value]
         return '[\n' + ',\n'.join(items) + f'\n{indent}]'
     return json.dumps(value, allow_nan=False)
+
+
+def digests(path: File) -> list[dict[str, Any]]:
+    """
+    Return name, size and SHA-256 of a file, or of every file in a folder, in order of names.
+
+    Raises
+    ------
+    BellowsError
+        If a file cannot be read.
+
+    """
+    top, found = Path(path), list[dict[str, Any]]()
+    try:
+        for file in sorted(filter(Path.is_file, top.iterdir())) if top.is_dir() else [top]:
+            with file.open('rb') as stream:
+                sha256 = hashlib.file_digest(stream, 'sha256').hexdigest()
+                found.append({'name': file.name, 'bytes': stream.tell(), 'sha256': sha256})
+        return found
+    except OSError as error:
+        raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None
+
+
+def recording_digest(files: Iterable[Mapping[str, Any]]) -> str:
+    """Return the SHA-256 of the stored messages of a recording with given `digests`."""
+    parts = [file['sha256'] for file in files if file['name'] != 'metadata.yaml']
+    return hashlib.sha256(' '.join(parts).encode()).hexdigest()
 
 
 def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ()) -> dict[str, Any]:

@@ -1,56 +1,57 @@
 """
-Trajectories as text: TUM files, motions with velocities, programs, and exports of Motive.
+Poses of bodies in text: TUM files, and exports of Motive (CSV, formats 1.2 to 1.25).
 
-TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, separated by blanks; evo and many
-SLAM tools read it.
-
-The tracked poses of rigid bodies are read from Motive's CSV exports (formats 1.2 to 1.25). A pose
-is omitted if its cells are blank, or if fewer markers of its body are visible than a rigid body
-needs. A marker is visible if its quality is at least 0.99 (appendix H); in an export without
-qualities, if its measured position is not blank. (The positions of a 'Rigid Body Marker' are
-expected positions, which are always present.) The layout is: a row of settings, alternately name
-and value; a blank row; rows for Type, Name, ID, since format 1.25 Parent, and quantity; the row of
-axes, which begins with Frame and Time (Seconds) and, if the take has one, TimeCode; then a row per
-frame. The rows of the head identify the columns in any order.
+TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, separated by blanks. An export of
+Motive has a row of settings, alternately name and value; rows for Type, Name and quantity; the row
+of axes, which begins with Frame and Time; then a row per frame. A pose is omitted if its cells are
+blank, or if fewer markers of its body are visible than a rigid body needs. A marker is visible if
+its quality is at least 0.99 (appendix H); in an export without qualities, if its measured position
+is not blank.
 """
 
 from array import array
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 import csv
-from dataclasses import dataclass
-from datetime import datetime, UTC
 from decimal import Decimal
 from io import StringIO
-from pathlib import Path
+from itertools import islice
 import re
-from typing import Any
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S
-from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, File, read_text
+from bellows_ros.errors import BellowsError, shown
+from bellows_ros.files import File, read_text
 import numpy as np
 
 MAX_FILE_BYTES = 2**31
+MIN_MARKERS = 3
+"""Number of points that determine the pose of a rigid body."""
+SETTINGS: Mapping[str, Mapping[str, float]] = {
+    'Rotation Type': {'Quaternion': 1.0}, 'Coordinate Space': {'Global': 1.0},
+    'Length Units': {'Meters': 1.0, 'Centimeters': 0.01, 'Millimeters': 0.001, 'Inches': 0.0254}}
+"""Accepted settings of an export; those of the length units are in m."""
+START = re.compile(r'(\d{4}-\d\d-\d\d) (\d+)[.:](\d+)[.:](\d+[.,]?\d*) ?([AP]?)', re.IGNORECASE)
+"""Start of a capture, in the forms of several languages of Windows."""
+POSE = [f'Position {axis}' for axis in 'XYZ'] + [f'Rotation {axis}' for axis in 'XYZW']
+Columns = Mapping[tuple[str, str, str], list[int]]
+"""Columns by type, body and quantity."""
 
-TUM_COLUMNS = 8
-"""Number of columns of a TUM file."""
 
-NumberedRows = list[tuple[int, list[str]]]
-"""Numbers and cells of the lines of a file."""
+class TrackedBody(NamedTuple):
+    """Stamps (ns) and poses (N, 7) of a body, and the number of other rows by reason."""
+
+    name: str
+    stamps_ns: Stamps
+    values: Array
+    left_out: dict[str, int]
 
 
 def read_tum(path: File) -> tuple[Stamps, Array]:
     """
-    Read a TUM file.
-
-    Returns
-    -------
-    stamps_ns : int array (N,)
-    values : array (N, 7)
-        Position (m) and quaternion (x, y, z, w).
+    Return stamps (ns) and poses (N, 7), position (m) and quaternion xyzw, of a TUM file.
 
     Raises
     ------
@@ -58,132 +59,34 @@ def read_tum(path: File) -> tuple[Stamps, Array]:
         With the line, if the file is not a TUM file.
 
     """
-    lines = _lines(path)
-    return _stamps(path, lines), numbers(path, lines, range(1, TUM_COLUMNS))
-
-
-def write_tum(path: File, stamps_ns: Stamps, values: Array) -> None:
-    """
-    Write a TUM file, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-        Text file.
-    stamps_ns : int array (N,)
-        Times, ns; all nine decimals of the seconds are written.
-    values : array (N, 7)
-        Position (m) and quaternion (x, y, z, w).
-
-    Raises
-    ------
-    BellowsError
-        If the file cannot be written.
-
-    """
-    _write(path, '# time x y z qx qy qz qw (s, m)', '%d.%09d' + 7 * ' %.9g',
-           *divmod(stamps_ns, NS_PER_S), *values.T)
-
-
-def _write(path: File, head: str, form: str, *columns: Array | Stamps) -> None:
-    """Write a text file of a head and a line for each row of the columns."""
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    atomic.write_text(path, '\n'.join([head, *map(form.__mod__, rows)]) + '\n')
-
-
-def _lines(path: File) -> NumberedRows:
-    """Return the numbers and cells of the lines without comments."""
-    lines = [
-        (number, line.split())
-        for number, line in enumerate(read_text(path, MAX_FILE_BYTES).splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith('#')]
-    if not lines:
+    stamps, values = list[int](), array('d')
+    for number, line in enumerate(read_text(path, MAX_FILE_BYTES).splitlines(), 1):
+        if not (cells := line.partition('#')[0].split()):
+            continue
+        try:
+            stamps.append(int(Decimal(cells[0]) * NS_PER_S))  # floats of s lose ns
+            values.extend(map(float, cells[1:]))
+            if len(cells) != 8 or not 0 <= stamps[-1] < 2**63:
+                raise ValueError
+        except (ArithmeticError, ValueError):
+            raise BellowsError(
+                f"'{path}', line {number}: expected 8 numbers, 'time x y z qx qy qz qw' in s and "
+                f"m, got '{shown(line, 80)}'.") from None
+    if not stamps:
         raise BellowsError(f"'{path}' has no poses.")
-    for number, cells in lines:
-        if len(cells) != TUM_COLUMNS:
-            raise _line_error(path, number, f'{TUM_COLUMNS} numbers, got {len(cells)}')
-    return lines
+    return np.array(stamps, dtype=np.int64), np.array(values).reshape(-1, 7)
 
 
-def _line_error(path: File, number: int, what: str) -> BellowsError:
-    """Return the error for a faulty line."""
-    return BellowsError(
-        f"'{path}', line {number}: expected {what}. A TUM line is 'time x y z qx qy qz qw'.")
+def is_motive(path: File) -> bool:
+    """Return whether a file begins like an export of Motive; false if unreadable."""
+    with suppress(OSError), open(path, 'rb') as file:
+        return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
+    return False
 
 
-def _stamps(path: File, lines: NumberedRows) -> Stamps:
-    """Return the times (s) at the beginning of lines in ns, without conversion to float."""
-    stamps = []
-    for number, (cell, *_) in lines:
-        try:
-            time = Decimal(cell)
-            valid = 0 <= time < 9 * 10**18 // NS_PER_S  # 64-bit ns
-        except ArithmeticError:
-            valid = False
-        if not valid:
-            raise _line_error(path, number, f"a time in s, got '{cell[:40]}'")
-        stamps.append(int(time * NS_PER_S))
-    return np.array(stamps, dtype=np.int64)
-
-
-def numbers(path: File, lines: Iterable[tuple[int, list[str]]], columns: Sequence[int]) -> Array:
-    """Return the values (N, columns) in the given columns of numbered lines of a file."""
-    values = array('d')
-    for number, cells in lines:
-        try:
-            values.extend([float(cells[i]) for i in columns])
-        except ValueError as error:
-            raise BellowsError(f"'{path}', line {number}: {error}.") from None
-    return np.array(values).reshape(-1, len(columns))
-
-
-# ------------------------------------------------------------------------------------- Motive
-
-MIN_MARKERS = 3  # for a pose of a rigid body
-METRES = {'meters': 1.0, 'centimeters': 0.01, 'millimeters': 0.001, 'inches': 0.0254}  # m
-# Some languages of Windows write P.M.
-START_FORMS = [f'%Y-%m-%d {time}' for time in (
-    '%I.%M.%S.%f %p', '%H.%M.%S.%f', '%I.%M.%S %p', '%H.%M.%S')]
-SETTINGS = ('Format Version', 'Rotation Type', 'Coordinate Space', 'Length Units',
-            'Capture Start Time')
-POSE_COLUMNS = ('Rotation X', 'Rotation Y', 'Rotation Z', 'Rotation W',
-                'Position X', 'Position Y', 'Position Z')
-TIME = 1  # column
-
-Heads = Mapping[str, Sequence[str]]
-Columns = tuple[list[int], list[int], list[int]]
-"""Columns of the poses of a body, of the qualities of its markers, and of their positions."""
-
-
-@dataclass(frozen=True, eq=False)
-class MotiveBody:
+def read_motive(path: File, min_markers: int = MIN_MARKERS) -> list[TrackedBody]:
     """
-    The poses of a rigid body.
-
-    Parameters
-    ----------
-    name : str
-    stamps_ns : int array (N,)
-        Stamps of the usable poses, ns.
-    values : array (N, 7)
-        Position (m) and quaternion (x, y, z, w), in Motive's world.
-    missing : int
-        Number of frames without a pose.
-    unseen : int
-        Number of frames with a pose from too few markers.
-
-    """
-
-    name: str
-    stamps_ns: Stamps
-    values: Array
-    missing: int
-    unseen: int
-
-
-def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody, ...]:
-    """
-    Read the rigid bodies of a Motive CSV export.
+    Return the rigid bodies of an export of Motive, in its world.
 
     Parameters
     ----------
@@ -200,118 +103,90 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> tuple[MotiveBody,
 
     """
     try:
-        return _bodies(Path(path), csv.reader(StringIO(read_text(path, MAX_FILE_BYTES))),
-                       min_markers)
-    except csv.Error as error:
-        raise BellowsError(f"'{path}' is no CSV file: {error}.") from None
-
-
-def is_motive(path: File) -> bool:
-    """Return whether a file begins like an export of Motive; false if unreadable."""
-    with suppress(OSError), Path(path).open('rb') as file:
-        return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
-    return False
-
-
-def _bodies(path: Path, rows: Any, min_markers: int) -> tuple[MotiveBody, ...]:
-    """Return the bodies from the rows of a file (`csv.reader`)."""
-    about, heads = _read_head(path, rows)
-    scale = METRES[about['Length Units'].lower()]
-    columns = _body_columns(path, heads)
-    needed = sorted({TIME}.union(*(c for of_body in columns.values() for c in of_body)))
-    frames = ((rows.line_num, [(row[c] if c < len(row) else '').strip() or 'nan' for c in needed])
-              for row in rows if any(row))
-    table = dict(zip(needed, numbers(path, frames, range(len(needed))).T, strict=True))
-    seconds = table[TIME]
-    if not len(seconds) or not np.all(np.abs(seconds) < 1e9):  # s
+        rows = csv.reader(StringIO(read_text(path, MAX_FILE_BYTES)))
+        settings, heads = next(rows, []), dict[str, list[str]]()
+        for row in islice(rows, 12):
+            if row[:1] == ['Frame']:
+                break
+            heads[row[1] if len(row) > 1 and row[1] else 'Quantity'] = row
+        else:
+            row = []
+        found = _columns(heads, row)
+        needed = sorted({1}.union(*found.values()))  # 1 is the time
+        values = array('d')
+        for cells in rows:
+            if any(cells):
+                values.extend(float(cells[i] or 'nan') for i in needed)
+    except (csv.Error, LookupError, ValueError) as error:
+        raise BellowsError(
+            f"'{path}' is no CSV export of Motive with rigid bodies and their header "
+            f"({shown(str(error), 80)}). Export it again, with 'Header Information' on.") from None
+    scale, start_ns = _settings(path, settings)
+    table = dict(zip(needed, np.array(values).reshape(-1, len(needed)).T, strict=True))
+    if not len(table[1]) or not np.all(np.abs(table[1]) < 1e9):  # s
         raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
-    stamps = _start_ns(about) + np.rint(seconds * NS_PER_S).astype(np.int64)
-    bodies = []
-    for name, (pose_columns, qualities, positions) in columns.items():
-        pose = np.column_stack([table[c] for c in pose_columns])
-        present, markers = np.isfinite(pose).all(axis=1), np.full(len(pose), min_markers)
-        if qualities:
-            markers = np.sum([table[c] >= 0.99 for c in qualities], axis=0)  # (appendix H)
-        elif len(positions) >= MIN_MARKERS:
-            markers = np.sum([np.isfinite(table[c]) for c in positions], axis=0)
-        enough = markers >= min_markers
-        usable = present & enough
-        bodies.append(MotiveBody(
-            name, stamps[usable], np.hstack([scale * pose[usable, 4:], pose[usable, :4]]),
-            int(np.count_nonzero(~present)), int(np.count_nonzero(present & ~enough))))
-    return tuple(bodies)
+    stamps = start_ns + np.rint(table[1] * NS_PER_S).astype(np.int64)
+    names = dict.fromkeys(body for kind, body, _ in found if kind == 'Rigid Body')
+    return [_body(name, found, table, stamps, scale, min_markers) for name in names]
 
 
-def _read_head(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, str], Heads]:
-    """Return the properties of the first row, and the column heads, as wide as the row of axes."""
-    first = next(rows, [])
-    if first and first[0].startswith('Format Version;'):
-        raise BellowsError(
-            f"'{path}' is separated by semicolons, as a spreadsheet saves it. Use the file that "
-            'Motive exported.')
-    # By name, as a take's own name or notes may contain commas.
-    about = {name: first[first.index(name) + 1] for name in SETTINGS if name in first[:-1]}
-    above: dict[str, list[str]] = {}
-    for _, row in zip(range(12), rows, strict=False):
-        if row[:1] == ['Frame'] and 'Format Version' in about:
-            width = len(row)
-            heads = {label: (cells + [''] * width)[:width] for label, cells in above.items()}
-            lacking = [name for name in ('Type', 'Name', 'Quantity') if name not in heads]
-            if lacking:
-                raise BellowsError(f"'{path}' lacks the header row {lacking[0]}. Export it again.")
-            _require_settings(path, about)
-            return about, {**heads, 'axis': row}
-        if any(row):
-            above[row[1] if len(row) > 1 and row[1] else 'Quantity'] = row
-    raise BellowsError(
-        f"'{path}' is no CSV export of Motive with its header. Export it again, with 'Header "
-        "Information' switched on.")
-
-
-def _require_settings(path: Path, about: Mapping[str, str]) -> None:
-    """Raise for an export without usable poses."""
-    for name, wanted in (('Rotation Type', 'Quaternion'), ('Coordinate Space', 'Global')):
-        if about.get(name, wanted) != wanted:
-            raise BellowsError(
-                f"'{path}' has {name} {about[name]}; {wanted} is needed. Export it again with "
-                f'{name} set to {wanted}.')
-    unit = about.get('Length Units', 'an unknown unit')
-    if unit.lower() not in METRES:
-        raise BellowsError(
-            f"'{path}' has lengths in {unit}; expected are {', '.join(METRES)}. Export it again.")
-
-
-def _start_ns(about: Mapping[str, str]) -> int:
-    """Return the start of the capture, ns (its clock is taken as UTC); 1 s if not stated."""
-    text = re.sub('[:,]', '.', about.get('Capture Start Time', '').strip().upper())
-    text = re.sub(r'\s*([AP])\.?M\.?$', r' \1M', text)
-    for form in START_FORMS:
-        with suppress(ValueError):
-            start = datetime.strptime(text, form).replace(tzinfo=UTC)
-            return int(start.timestamp()) * NS_PER_S + 1000 * start.microsecond
-    return int(NS_PER_S)
-
-
-def _body_columns(path: Path, heads: Heads) -> dict[str, Columns]:
-    """Return the columns of each rigid body."""
-    labels = ('Type', 'Name', 'Quantity', 'axis')
-    columns = list(zip(*(heads[label] for label in labels), strict=True))
-    names = list(dict.fromkeys(name for kind, name, *_ in columns if kind == 'Rigid Body'))
-    if not names:
-        raise BellowsError(
-            f"'{path}' has no rigid bodies. Export the take again with rigid bodies switched on.")
-    found: dict[tuple[str, str, str], list[int]] = defaultdict(list)
+def _columns(heads: Mapping[str, Sequence[str]], axes: Sequence[str]) -> Columns:
+    """Return the columns of poses, marker qualities and marker positions of each body."""
+    columns = list(zip(heads['Type'], heads['Name'], heads['Quantity'], axes, strict=True))
+    names = {name for kind, name, *_ in columns if kind == 'Rigid Body'}
+    found = defaultdict[tuple[str, str, str], list[int]](list)
     for number, (kind, owner, quantity, axis) in enumerate(columns):
-        # A marker's name (BODY:Marker1, BODY_1) begins with the name of its body.
-        fitting = [name for name in names if owner.startswith((f'{name}:', f'{name}_'))]
-        body = owner if kind == 'Rigid Body' else max(fitting, key=len, default='')
-        what = quantity if kind == 'Rigid Body Marker' else f'{quantity} {axis}'.strip()
-        found[kind, body, what].append(number)
-    for name in names:
-        lacking = [column for column in POSE_COLUMNS if ('Rigid Body', name, column) not in found]
-        if lacking:
+        # The name of a marker (BODY:Marker1, BODY_1) begins with the name of its body.
+        body = owner if kind == 'Rigid Body' else max(
+            (n for n in names if owner.startswith((f'{n}:', f'{n}_'))), key=len, default='')
+        what = f'{quantity} {axis}'.strip()
+        if body and (kind == 'Rigid Body' and what in POSE or what == 'Marker Quality'
+                     or (kind, what) == ('Marker', 'Position X')):
+            found[kind, body, what].append(number)
+    if lacking := [f'{n}: {column}' for n in names for column in POSE
+                   if ('Rigid Body', n, column) not in found]:
+        raise ValueError(f'the column {lacking[0]} is missing')
+    if not names:
+        raise ValueError('there are no rigid bodies')
+    return found
+
+
+def _settings(path: File, row: Sequence[str]) -> tuple[float, int]:
+    """Return the unit of length, m, and the start (ns, as UTC; 1 s if not stated)."""
+    about = dict(zip(row, row[1:], strict=False))  # by name, as a take's name may have commas
+    for name, accepted in SETTINGS.items():
+        value = about.get(name, '' if name == 'Length Units' else next(iter(accepted)))
+        if value not in accepted:
             raise BellowsError(
-                f"'{path}': rigid body '{name}' lacks the column {lacking[0]}. Export it again.")
-    return {name: ([found['Rigid Body', name, column][0] for column in POSE_COLUMNS],
-                   found['Rigid Body Marker', name, 'Marker Quality'],
-                   found['Marker', name, 'Position X']) for name in names}
+                f"'{path}' has {name} '{value}'; expected {' or '.join(accepted)}. Export it "
+                'again with this setting.')
+    unit = SETTINGS['Length Units'][about['Length Units']]
+    with suppress(ValueError):
+        if start := START.match(about.get('Capture Start Time', '').strip()):
+            day, hour, minute, second, half = start.groups()
+            hours = int(hour) % 12 + 12 * (half.upper() == 'P') if half else int(hour)
+            minutes = int(np.datetime64(day, 'm').astype(int)) + 60 * hours + int(minute)
+            return unit, (60 * minutes) * NS_PER_S + int(
+                Decimal(second.replace(',', '.')) * NS_PER_S)
+    return unit, NS_PER_S
+
+
+def _body(
+    name: str, found: Columns, table: Mapping[int, Array], stamps: Stamps, scale: float,
+    min_markers: int,
+) -> TrackedBody:
+    """Return the usable poses of a body."""
+    pose = np.column_stack([table[found['Rigid Body', name, column][0]] for column in POSE])
+    present, enough = np.isfinite(pose).all(axis=1), np.ones(len(pose), bool)
+    qualities = found.get(('Rigid Body Marker', name, 'Marker Quality'), [])
+    positions = found.get(('Marker', name, 'Position X'), [])
+    if qualities:
+        enough = np.sum([table[i] >= 0.99 for i in qualities], axis=0) >= min_markers  # appendix H
+    elif len(positions) >= MIN_MARKERS:
+        enough = np.sum([np.isfinite(table[i]) for i in positions], axis=0) >= min_markers
+    left_out = {'not tracked': int(np.sum(~present)),
+                'too few markers': int(np.sum(present & ~enough))}
+    usable = present & enough
+    return TrackedBody(
+        name, stamps[usable], pose[usable] * [*3 * [scale], *4 * [1.0]],
+        {reason: count for reason, count in left_out.items() if count})

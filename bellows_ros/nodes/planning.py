@@ -70,7 +70,7 @@ class Planning:
                                   (JointTrajectory, 'tool_arm/plan_joints', self._of_joints)):
             node.create_subscription(
                 kind, topic, partial(self._on_plan, read), 10,
-                on_publishers=self._on_publishers, raw=kind is MultiDOFJointTrajectory)
+                on_publishers=self._on_publishers)
         node.create_subscription(String, 'robot_description', self._on_description, LATCHED)
 
     def forget(self) -> None:
@@ -163,10 +163,10 @@ class Planning:
 
     # ---------------------------------------------------------------- reading
 
-    def _of_tool(self, data: bytes) -> tuple[PlanMessage, Trajectory, None]:
+    def _of_tool(self, data: MultiDOFJointTrajectory) -> tuple[PlanMessage, Trajectory, None]:
         """Return a plan of the tool, and its motion of E."""
         values = self._pipeline.values
-        message = plan_messages.decode_multi_dof(data)
+        message = plan_messages.multi_dof(data)
         self._require_frame(message.frame_id)
         self._pipeline.node.note_frame(
             message.frame_id, 'tool_arm/plan', 'its frame is that of the tool poses')

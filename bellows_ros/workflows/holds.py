@@ -41,17 +41,15 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
     if signal == 'none':
         return []
     kind, parameter = SIGNALS[signal]
-    for topic, log_ns, data in bags.messages_of(bag, {kind, messages.BOOL}):
-        if topic.name.endswith('/vacuum/valve'):
-            is_on = messages.decode_bool(data)
-            signals += [] if is_on is None else [(log_ns, 'valve', is_on, ALL)]
-        if topic.type_name != kind or not is_named(topic.name, values[parameter]):
+    for topic, log_ns, message in bags.messages_of(bag, {kind, messages.BOOL}):
+        if topic.endswith('/vacuum/valve') and hasattr(message, 'data'):
+            signals.append((log_ns, 'valve', bool(message.data), ALL))
+        if hasattr(message, 'data') == (signal != 'bool') or not is_named(
+                topic, values[parameter]):
             continue
         if signal == 'bool':
-            held = messages.decode_bool(data)
-            signals += [] if held is None else [(log_ns, 'vacuum', held, ALL)]
+            signals.append((log_ns, 'vacuum', bool(message.data), ALL))
             continue
-        message = bags.decoded(data, kind)
         stamp = message.header.stamp
         states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
         signals += [] if isinstance(states, str) else [

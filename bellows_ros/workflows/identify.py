@@ -27,7 +27,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import bag_folder
+from bellows_ros.files import results
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
@@ -106,7 +106,7 @@ def identify(
             values, effective, parts, static, progress, pairs,
             failed=tuple(failed), assumed=(*_assumed(settings), *_doubts(values)),
             parameter_files=tuple(
-                {'path': os.fspath(file), 'files': bag_folder.digests(file)}
+                {'path': os.fspath(file), 'files': results.digests(file)}
                 for file in parameter_files))
 
 

@@ -35,10 +35,10 @@ from bellows_ros.core.signals.trajectory import (
     TwistStream,
 )
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import bags, File, messages, plans, results
+from bellows_ros.files import bags, File, messages, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import read_contents
-from bellows_ros.files.messages import DETECTIONS
+from bellows_ros.files.messages import DETECTIONS, TRANSFORMS
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import within_interval
@@ -256,7 +256,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
         f'{topic.name} {kind}': topic.name for topic in counts if topic.messages
         for kind in KINDS if topic.type_name in (
             *accepted_types(kind), *[DETECTIONS] * (kind == 'pose'))}
-    contents = read_contents(path, wanted) if wanted else Contents({}, {}, ())
+    contents = read_contents(path, wanted) if wanted else Contents({}, {})
     problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
     streams = {role: stream for role, stream in within_interval(contents.streams, span).items()
                if len(stream)}
@@ -266,7 +266,7 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     twists = {s.name: s for role, s in streams.items() if isinstance(s, TwistStream)
               and role.endswith('twist') and len(s) > 2}
     has_only_tf = len(poses) < 2 and any(
-        topic.type_name == plans.TF and topic.messages for topic in counts)
+        topic.type_name == TRANSFORMS and topic.messages for topic in counts)
     return _with_roles(path, described, poses, twists, span,
                        [Finding('only_transforms')] if has_only_tf else [])
 

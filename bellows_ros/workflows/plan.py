@@ -493,7 +493,7 @@ def _checked_motion(
 
 
 def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:
-    """Return the tool's motion in a recording of poses, joints or transforms."""
+    """Return the tool's motion in a recording of poses or joints."""
     wanted = {'tool_pose': topic or values.topics.tool_pose,
               'tool_twist': values.topics.tool_twist}
     contents = bags.read_contents(path, wanted)
@@ -504,8 +504,8 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
             problem = contents.problems['tool_pose']
             raise type(problem)(
                 f'{problem} A plan is a message of type {", ".join(plans.PLAN_TYPES)}; or poses '
-                'of the tool are recorded, or joint states or transforms with tool_link.')
-        read = plans.joints_or_tf(path, urdf, values.tool_link)
+                'of the tool are recorded, or joint states with tool_link.')
+        read = plans.recorded_joints(path, plans.arm_of(urdf, values.tool_link, path))
         rates, twists = read.twists, None
         poses = PoseStream(
             'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],

@@ -27,7 +27,7 @@ from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
-from bellows_ros.files import bag_folder, detections, File, parameter_files
+from bellows_ros.files import detections, File, parameter_files, results
 from bellows_ros.report.findings import prevents, text
 import numpy as np
 
@@ -101,11 +101,10 @@ def load(
 
         streams = _selected(streams, masks_held(path, streams, values))
     recording = prepare_streams(streams, settings, values, accepted)
-    report = replace(recording.report, warnings=(*contents.notes, *recording.report.warnings))
-    files = tuple(bag_folder.digests(path)) if with_digest else ()
+    files = tuple(results.digests(path)) if with_digest else ()
     return replace(
-        recording, name=name, report=report, files=files,
-        digest=bag_folder.recording_digest(path, files) if with_digest else '')
+        recording, name=name, files=files,
+        digest=results.recording_digest(files) if with_digest else '')
 
 
 def tag_sought(values: Values) -> detections.TagSought:

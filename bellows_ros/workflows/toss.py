@@ -406,8 +406,8 @@ def _valve_times(bag: str, values: Values) -> list[int]:
     """Return the times of switching the valve off, ns as received."""
     topic = values.topics.valve
     switched = sorted(
-        (log_ns, on) for _, log_ns, data in bags.messages_of(bag, (messages.BOOL,), topic)
-        if (on := messages.decode_bool(data)) is not None) if topic else []
+        (log_ns, bool(message.data)) for _, log_ns, message
+        in bags.messages_of(bag, (messages.BOOL,), topic)) if topic else []
     if not switched:
         raise NoTopicError(
             f"'{bag}' has no std_msgs/Bool on '{topic}', so the times of the "

@@ -1,5 +1,6 @@
 """What a command refuses: it says what is wrong, ends with 2, and changes no file."""
 
+import json
 import shlex
 import shutil
 
@@ -71,8 +72,8 @@ def cell(workshop, identified, tmp_path_factory):
     folder = tmp_path_factory.mktemp('cell')
     shutil.copytree(workshop, folder, dirs_exist_ok=True)
     known = (folder / 'package.yaml').read_text()
-    (folder / 'bags.yaml').write_text(
-        f"{known}bags: ['recording']\nstatic.bags: ['recording']\n")
+    (folder / 'bags.yaml').write_text(json.dumps(
+        {**json.loads(known), 'bags': ['recording'], 'static.bags': ['recording']}))
     shutil.copy(identified / 'fit.json', folder)
     (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
     (folder / 'link').symlink_to('recording')

@@ -1,8 +1,5 @@
 """Recordings made by rosbags, so that the package's own writer does not judge its reader."""
 
-import tracemalloc
-
-from bellows_ros.files.bags import MOVEIT_TYPES
 import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
@@ -10,6 +7,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+MOVEIT_TYPES = {
+    'moveit_msgs/msg/RobotTrajectory': 'trajectory_msgs/JointTrajectory joint_trajectory\n'
+    'trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory',
+    'moveit_msgs/msg/DisplayTrajectory':
+    'string model_id\nmoveit_msgs/RobotTrajectory[] trajectory'}
 for name, definition in MOVEIT_TYPES.items():
     TYPES.register(get_types_from_msg(definition, name))
 EPOCH_NS = 1_760_000_000_000_000_000
@@ -115,13 +117,3 @@ def storage_file(folder):
     """Return the one storage file of a recording."""
     (path,) = (p for p in folder.iterdir() if p.name != 'metadata.yaml')
     return path
-
-
-def peak_memory(call):
-    """Return the largest memory in use during a call, bytes."""
-    tracemalloc.start()
-    try:
-        call()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()

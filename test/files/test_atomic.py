@@ -1,13 +1,9 @@
 """Output is written whole or not at all."""
 
 import os
-from pathlib import Path
 import re
-from tempfile import mkdtemp
-import time
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic
 from bellows_ros.files.atomic import new_folder, require_file_target, write_bytes, write_text
 import pytest
 
@@ -77,43 +73,6 @@ def test_a_folder_that_exists_is_replaced_only_when_asked(tmp_path):
     assert os.listdir(path) == ['old']
 
 
-@pytest.mark.parametrize('in_one_step', [True, False])
-def test_a_folder_is_exchanged_where_the_system_can(tmp_path, monkeypatch, in_one_step):
-    if in_one_step:
-        if not atomic._exchange(*(Path(mkdtemp(dir=tmp_path)) for _ in range(2))):
-            pytest.skip('this file system cannot exchange two names')
-        monkeypatch.setattr(os, 'rename', None)
-    else:
-        monkeypatch.setattr(atomic, '_exchange', lambda one, other: False)
-    path = tmp_path / 'bag'
-    path.mkdir()
-    (path / 'old').write_text('x')
-    with new_folder(path, replace=True) as folder:
-        folder.mkdir()
-        (folder / 'new').write_text('x')
-    assert os.listdir(path) == ['new']
-    assert [name for name in os.listdir(tmp_path) if name.startswith('.')] == []
-
-
-def test_what_killed_runs_left_is_removed_by_the_next_run(tmp_path):
-    """Files and folders of more than a day, in the folder of the output, and no others."""
-    (tmp_path / 'link').mkdir()
-    made = {}
-    for name in ('old.tmp', 'new.tmp', 'old', 'bag.tmp', 'link.tmp'):
-        made[name] = tmp_path / f'{atomic.PREFIX}1-{name}'
-    made['bag.tmp'].mkdir()
-    (made['bag.tmp'] / 'x').touch()
-    made['link.tmp'].symlink_to('link')
-    (tmp_path / 'link' / 'kept').touch()
-    for name in ('old.tmp', 'new.tmp', 'old'):
-        made[name].touch()
-    for name in ('old.tmp', 'old', 'bag.tmp', 'link.tmp'):
-        os.utime(made[name], (0, time.time() - 1.1 * atomic.ABANDONED), follow_symlinks=False)
-    write_text(tmp_path / 'out', 'x')
-    left = {name for name, path in made.items() if os.path.lexists(path)}
-    assert left == {'new.tmp', 'old'} and (tmp_path / 'link' / 'kept').exists()
-
-
 def test_a_folder_that_appears_meanwhile_is_not_touched(tmp_path):
     path = tmp_path / 'bag'
     with pytest.raises(BellowsError, match=f"'{path}'"), new_folder(path) as folder:
@@ -129,3 +88,13 @@ def test_a_folder_replaces_neither_files_nor_links(tmp_path):
     for name in ('file', 'link', 'no/x'):
         with pytest.raises(BellowsError, match=name), new_folder(tmp_path / name, True):
             pass
+
+
+def test_a_replaced_folder_leaves_nothing_hidden(tmp_path):
+    path = tmp_path / 'bag'
+    path.mkdir()
+    (path / 'old').write_text('x')
+    with new_folder(path, replace=True) as folder:
+        folder.mkdir()
+        (folder / 'new').write_text('x')
+    assert os.listdir(path) == ['new'] and os.listdir(tmp_path) == ['bag']

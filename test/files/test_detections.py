@@ -3,9 +3,9 @@
 from bellows_ros.core.sensors.camera import directions, MAX_KEPT, poses_of_corners, TagCamera
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
-from bellows_ros.files.bags import message_types, read_messages
+from bellows_ros.files.bags import message_types
 from bellows_ros.files.detections import read_contents, read_views, TagSought
-from bellows_ros.files.messages import DETECTIONS
+from bellows_ros.files.messages import DETECTIONS, pack, TRANSFORMS
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -110,14 +110,6 @@ def test_corners_of_a_rectified_image_have_no_distortion(tmp_path):
     path = recorded(tmp_path / 'b', detections(pixels), calibration(
         'plumb_bob', LENSES['plumb_bob'], P=P))
     assert_allclose(read_views(path, 'detections', rectified=True).corners, true, atol=1e-12)
-
-
-def test_detections_and_their_camera_are_played_where_named(tmp_path):
-    path = recorded(tmp_path / 'b', detections(views()[2] * 900), calibration('', ()))
-    played, _ = read_messages(path, ['/detections', 'camera0'])
-    assert len(played) == COUNT + 1
-    with pytest.raises(BellowsError, match='no poses or twists'):
-        read_messages(path)
 
 
 def test_noisy_corners_give_the_pose_of_least_squares_or_its_second_solution():
@@ -226,3 +218,22 @@ def test_hostile_corners_and_cameras_neither_raise_nor_grow(model, coefficients)
         seen = camera.pose(array, SIDE, trial)
         assert seen == 'tag_no_pose' or np.isfinite(seen[0]).all()
     assert len(camera.numbers) <= MAX_KEPT and len(camera._cameras) <= MAX_KEPT
+
+
+def test_a_tag_on_tf_is_read_in_the_frame_of_its_camera(tmp_path):
+    """Poses of the frame with one parent; other names are refused with the frames there are."""
+    values = np.hstack([np.arange(12.0).reshape(4, 3), np.tile([0.0, 0.6, 0.0, 0.8], (4, 1))])
+    data = [pack(TRANSFORMS, names, 10**18 + k * 10**7, *row)
+            for k, row in enumerate(values) for names in (('lens', 'box'), ('lens', 'other'))]
+    data.append(pack(TRANSFORMS, ('hall', 'other'), 10**18, *values[0]))
+    times = 10**18 + np.arange(len(data))
+    write_bag(tmp_path / 'b', [Encoded('/tf', TRANSFORMS, times, data)])
+    stream = read_contents(
+        tmp_path / 'b', {'package_pose': '/tf'}, TagSought(child_frame='/box')).streams[
+            'package_pose']
+    assert stream.frame_id == 'lens' and stream.refused == {}
+    assert_allclose(stream.position, values[:, :3])
+    for child, named in (('other', 'the parents hall, lens'), ('none', 'box, other')):
+        problem = read_contents(tmp_path / 'b', {'package_pose': 'tf'}, TagSought(
+            child_frame=child)).problems['package_pose']
+        assert named in str(problem)

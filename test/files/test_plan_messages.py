@@ -1,4 +1,4 @@
-"""Plans as CDR against the serialiser of rosbags, and damaged ones refused."""
+"""Plans as CDR against the serialiser of rosbags, and uneven ones refused."""
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import plan_messages
@@ -31,9 +31,8 @@ def test_is_what_rosbags_reads_and_writes(parts, frame, names):
     ours, theirs = message(parts, 5, frame, names)
     plain = bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF))
     assert plan_messages.encode_multi_dof(ours) == plain
-    swapped = bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF, little_endian=False))
-    for data in (plain, swapped):
-        found = plan_messages.decode_multi_dof(data)
+    for each in (theirs, TYPES.deserialize_cdr(plain, plan_messages.MULTI_DOF)):
+        found, = plan_messages.plans_of(each)
         assert (found.stamp_ns, found.frame_id, found.names) == (17_000_000_005, frame, names)
         assert_array_equal(found.times_ns, ours.times_ns)
         assert_array_equal(found.poses, ours.poses)
@@ -60,22 +59,13 @@ def test_path_is_what_rosbags_reads(frame):
     assert_array_equal(read, poses)
 
 
-@pytest.mark.parametrize('spoil', [
-    lambda data: data[:60], lambda data: data[:-30], lambda data: b'\7\7' + data[2:],
-    lambda data: data[:12] + b'\xff\xff\xff\x7f' + data[16:], lambda data: b''])
-def test_damaged_messages_are_refused(spoil):
-    data = plan_messages.encode_multi_dof(message()[0])
-    with pytest.raises(BellowsError):
-        plan_messages.decode_multi_dof(spoil(data))
-
-
 @pytest.mark.parametrize(('parts', 'count', 'figures'), [
-    ((1, 1, 1), 0, r'\b0\b'), ((2, 1, 1), 5, r'\b2 transforms\b'),
+    ((1, 1, 1), 0, r'\b0\b'), ((2, 1, 1), 5, r'\b2 transforms\b.*\b1 in every'),
     ((1, 2, 1), 5, r'\b2 velocities\b'), ((1, 1, 2), 5, r'\b2 accelerations\b')])
 def test_other_than_one_thing_is_refused(parts, count, figures):
     _, theirs = message(parts, count)
     with pytest.raises(BellowsError, match=figures):
-        plan_messages.decode_multi_dof(bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF)))
+        plan_messages.plans_of(theirs)
 
 
 def test_two_names_and_velocities_of_some_points_alone_are_refused():
@@ -85,5 +75,4 @@ def test_two_names_and_velocities_of_some_points_alone_are_refused():
     uneven.points[3].velocities = []
     for theirs, figures in ((twice, r'\b1\b'), (uneven, None)):
         with pytest.raises(BellowsError, match=figures):
-            plan_messages.decode_multi_dof(
-                bytes(TYPES.serialize_cdr(theirs, plan_messages.MULTI_DOF)))
+            plan_messages.plans_of(theirs)

@@ -1,9 +1,10 @@
 """The identifier node: finds the cup beside the executor and shows it as parameters."""
 
+import json
+
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.results import read_result
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -98,7 +99,7 @@ def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
         output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
         exit_when_done=True)
     assert result_of(ros, node) is None
-    content = read_result(tmp_path / 'fit.json')
+    content = json.loads((tmp_path / 'fit.json').read_text())
     assert content['with_standstills']['standstills'] == 7
     assert content['validations'][0]['above_limit'] == []
     assert content['recordings'][0]['package']['mass'] == 1.8

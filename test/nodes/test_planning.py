@@ -9,7 +9,7 @@ from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, plan_of_joints
 from bellows_ros.core.planning.steering import steer
-from bellows_ros.files.plan_messages import decode_multi_dof, encode_multi_dof, PlanMessage
+from bellows_ros.files.plan_messages import encode_multi_dof, multi_dof, PlanMessage
 from bellows_ros.nodes.conversions import vector
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
@@ -70,9 +70,9 @@ class Planner:
         """Connect all topics of plans."""
         self.partner, self.wait = partner, partner.wait
         plan, hears = MultiDOFJointTrajectory, partner.hears
-        self.plans = hears(plan, 'package/plan', decode=decode_multi_dof, raw=True)
+        self.plans = hears(plan, 'package/plan', decode=multi_dof)
         self.paths = hears(Path, 'package/plan_path')
-        self.steered = hears(plan, 'tool_arm/steered', decode=decode_multi_dof, raw=True)
+        self.steered = hears(plan, 'tool_arm/steered', decode=multi_dof)
         self.steered_joints = hears(JointTrajectory, 'tool_arm/steered_joints')
         self.health = hears(DiagnosticArray, '/diagnostics')
         self.plan_out = partner.writes(plan, 'tool_arm/plan')

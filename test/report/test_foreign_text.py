@@ -11,7 +11,6 @@ from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import plans
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.results import read_result
 from bellows_ros.workflows.plan import read_plan
 import numpy as np
 import pytest
@@ -91,8 +90,8 @@ def test_parameter_files(root, tmp_path):
         harmless(read_parameters, path)
 
 
-def test_results_and_motions(root, tmp_path):
-    """In every string of a result and of a motion."""
+def test_motions(root, tmp_path):
+    """In every string of a motion."""
     motion = {'kind': 'waypoints', 'waypoints': {'poses': [{'position': [0, 0, 1], 'move': 1.0}]},
               'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0, 'frame': 'com'}}
     values = resolve(read_parameters(root / 'bags/tossing.yaml'))
@@ -100,9 +99,6 @@ def test_results_and_motions(root, tmp_path):
         path = tmp_path / f'{number}.yaml'
         path.write_text(json.dumps(other))
         harmless(read_plan, path, values)
-    for other in with_hostile_strings({'method': 'a', 'structure': 'full'}):
-        path.write_text(json.dumps(other))
-        harmless(read_result, path)
 
 
 def test_frames_and_topics_of_a_recording(bellows, tmp_path):  # noqa: F811

@@ -12,7 +12,7 @@ from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
 from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
-from bellows_ros.files.results import format_json, read_result
+from bellows_ros.files.results import format_json
 from bellows_ros.report.build import write_page
 from bellows_ros.workflows.holds import masks_held
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
@@ -158,7 +158,7 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path
     values = read_parameters(tmp_path / 'cup.yaml')
     assert values['cup.length'] == length and values['cup.length_std'] == pytest.approx(std)
     assert not any(name.startswith('static.') for name in values)
-    content = read_result(tmp_path / 'fit.json')
+    content = json.loads((tmp_path / 'fit.json').read_text())
     assert content['with_standstills']['standstills'] == 9
     assert [entry['package']['mass'] for entry in content['static']['recordings']] == [
         *weights.values()]

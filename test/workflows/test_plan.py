@@ -12,7 +12,6 @@ from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.bags import DISPLAY_TRAJECTORY, ROBOT_TRAJECTORY
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
@@ -21,9 +20,7 @@ from bellows_ros.files.plan_messages import (
     PATH,
     PlanMessage,
 )
-from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES, TF
-from bellows_ros.files.trajectory_files import write_tum
-from bellows_ros.workflows.convert import to_bag, tool_of_joints
+from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES
 from bellows_ros.workflows.plan import (
     plan,
     plan_with_cup,
@@ -36,11 +33,12 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from .test_convert import write_tum
 from ..conftest import ROOT
 from ..core import plans
 from ..core.planning.test_arm import URDF
 from ..core.plans import Move
-from ..files.recordings import header, POSE, serialized, TWIST
+from ..files.recordings import header, POSE, serialized, TWIST, write
 from ..files.yaml_plans import cartesian, plan_messages
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
@@ -154,9 +152,10 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
         figures(other, values=values, urdf=str(tmp_path / 'arm.urdf'))
 
 
-@pytest.mark.parametrize('kind', [ROBOT_TRAJECTORY, DISPLAY_TRAJECTORY])
+@pytest.mark.parametrize('kind', [
+    'moveit_msgs/msg/RobotTrajectory', 'moveit_msgs/msg/DisplayTrajectory'])
 def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
-    """Of joints or of the tool; the start state after them is not read."""
+    """Of joints or of the tool, with the definition in the recording."""
     values = {'tool_link': 'tool'}
     none = header(0, ''), (), []
     urdf = tmp_path / 'arm.urdf'
@@ -169,10 +168,9 @@ def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
         for t, p, v in zip(times, poses, twists, strict=True)])
     for number, (trajectory, found) in enumerate(
             (((joint_message(), none), expected), ((none, of_tool), truth))):
-        data = serialized(ROBOT_TRAJECTORY, trajectory)
-        if kind == DISPLAY_TRAJECTORY:
-            data = serialized(kind, ('arm', [trajectory])) + bytes(range(48))
-        bag = bag_of(tmp_path / f'bag{number}', kind, data)
+        fields = trajectory if kind.endswith('RobotTrajectory') else ('arm', [trajectory])
+        bag = write(tmp_path / f'bag{number}', {
+            ('/plan', kind): [(T0, serialized(kind, fields))]})
         read = figures(bag, values=values, urdf=str(urdf))
         for figure in FIGURES:
             assert_allclose(read[figure], found[figure], rtol=1e-6)
@@ -182,32 +180,6 @@ def test_a_recording_without_a_plan_gets_an_error_with_the_forms_of_plans(tmp_pa
     bag = bag_of(tmp_path / 'bag', DESCRIPTION, serialized(DESCRIPTION, ('none',)))
     with pytest.raises(BellowsError, match='DisplayTrajectory'):
         figures(bag)
-
-
-def test_transforms_and_joint_states_become_tool_poses(tmp_path):
-    """Of a mount, an arm, and the tool on it, in transforms alone; and of an arm by its joints."""
-    times, poses, _ = samples()
-    fixed = [[(header(0, 'flange'), 'tool', ([0, 0, 0.1], [0, 0, 0, 1]))]]
-    moving = [[[(header(T0 + at, 'base'), 'flange', (p[:3], p[3:]))]]
-              for at, p in zip(times, poses, strict=True)]
-    write_bag(tmp_path / 'tf', [
-        Encoded('/tf_static', TF, np.array([T0]), [serialized(TF, fixed)]),
-        Encoded('/tf', TF, T0 + times, [serialized(TF, each) for each in moving])])
-    done = to_bag(tool_of_joints(tmp_path / 'tf', 'tool'), tmp_path / 'poses')
-    assert [(body.topic, body.poses) for body in done.bodies] == [('/tool_arm/pose', len(times))]
-    source = read_plan(tmp_path / 'poses', resolve(VALUES))
-    assert source.frame_id == 'base'
-    R = MOVE.at(times * 1e-9)[1]
-    inside = np.searchsorted(T0 + times, source.tool.stamps_ns)
-    expected = poses[:, :3] + R @ [0, 0, 0.1]
-    assert_allclose(source.tool.position, expected[inside], atol=2e-5)  # smoothed by the filter
-    found = tool_of_joints(joint_recording(tmp_path / 'arm'), 'tool', topic='left/pose')
-    done = to_bag(found, tmp_path / 'arm_poses')
-    assert [body.topic for body in done.bodies] == ['/left/pose', '/package/pose']
-    with pytest.raises(BellowsError, match="'tol'"):
-        tool_of_joints(tmp_path / 'tf', 'tol')
-    with pytest.raises(BellowsError, match="'/package/pose'.* --topic"):
-        tool_of_joints(tmp_path / 'arm', 'tool', topic='package/pose')
 
 
 def test_recorded_poses_are_a_plan(truth, tmp_path):

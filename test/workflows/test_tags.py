@@ -4,7 +4,6 @@ Cups from detected tags whose images are not ideal, against the simulated cup.
 The projection, the lens and the shutter are the test's own.
 """
 
-from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.model.simulation import simulate
@@ -76,7 +75,7 @@ def fitted(path, motion, times, pixels, k=NO_LENS, numbers=(7,), **given):
     write_bag(path, [
         as_messages('/tool', POSE, tool.stamps_ns[part], np.hstack([
             position + noise[:, :3], rotation_to_quaternion(rotation @ exp_so3(noise[:, 3:]))])),
-        replace(encoded('/detections', DETECTIONS, arrays), stamps_ns=stamps),
+        encoded('/detections', DETECTIONS, arrays)._replace(stamps_ns=stamps),
         encoded('/info', 'sensor_msgs/msg/CameraInfo', [calibration('plumb_bob', k)])])
     found = identify({**GIVEN, **given, 'bags': [str(path)]})
     assert found.fit.converged and not found.refusals, found.notes
