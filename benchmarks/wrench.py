@@ -64,7 +64,7 @@ def faults(sensor: str, fault: str, seeds: range) -> str:
     delays, others = [], 0
     for seed in seeds:
         run = simulated(seed, sensor, True, 6.5, fault, ONSET)
-        alarms = [(alarm.cause, (alarm.stamp_ns - int(run.stamps[0])) * 1e-9 - ONSET)
+        alarms = [(alarm.kind, (alarm.stamp_ns - int(run.stamps[0])) * 1e-9 - ONSET)
                   for alarm in predict(run, seed)[0].alarms]
         late = [delay for cause, delay in alarms if cause == fault and delay > 0.0]
         delays += [1e3 * (late[0] + run.parameters['wrench.delay'])] if late else []
@@ -113,7 +113,7 @@ def with_contact(seeds: range) -> None:
                 (Follower, False), (Feeler, False), (Follower, True), (Feeler, True))):
             by = kind(cycles, 'memory', True, camera, True)
             rows: Any = np.array(by.rows)
-            causes[n].update(alarm.cause for _, _, alarm in by.alarms)
+            causes[n].update(alarm.kind for _, _, alarm in by.alarms)
             squares_of[:, n] = [np.mean(np.sum(rows[rows[:, 0] == k, 1:4]**2, axis=1))
                                 for k in range(len(PHASES))]
         hours += 1e-9 * (by.begin - 1_000_000_000_000) / 3600.0

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from bellows_ros.core.identification.validation import MAX_NRMSE
-from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import atomic, parameter_files
+from bellows_ros.errors import require_pictures
+from bellows_ros.files import atomic
 from bellows_ros.report.text import print_replay
 from bellows_ros.workflows import replay
 
@@ -18,13 +18,6 @@ def _check(arguments: argparse.Namespace, settings: Mapping[str, Any]) -> None:
     """Raise for drawings or files that cannot be made, before any work."""
     if arguments.report:
         require_pictures()
-    if arguments.calibrate and not arguments.observe:
-        raise BellowsError(
-            '--calibrate takes the poses of a camera. Give their topic with --observe.')
-    if arguments.out and not arguments.observe:
-        raise BellowsError(
-            '--out writes the calibration of a camera. Give the topic of its poses with '
-            '--observe.')
 
 
 def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
@@ -32,18 +25,8 @@ def run(arguments: argparse.Namespace, console: Console) -> options.Outcome:
     settings = options.read_settings(arguments, cup_for=console)
     _check(arguments, settings)
     result = replay.replay(
-        arguments.bag, settings, console.progress, arguments.observe, arguments.calibrate)
+        arguments.bag, settings, console.progress, arguments.observe)
     limit = MAX_NRMSE if arguments.limit is None else arguments.limit / 100.0
-    if result.observed and arguments.out:
-        found = result.observed.model_calibration
-        if found and not found.is_better:
-            raise BellowsError(
-                f'The calibrated model does not lower the false alarms per hour '
-                f'({found.before.per_hour:.2g} before, {found.after.per_hour:.2g} after), so '
-                f'{arguments.out} is not written. Check whether the work was sound, and state '
-                'cup.*_std and package.*_std.')
-        parameter_files.write_parameters(arguments.out, result.observed.parameters, [
-            f'Calibration of {arguments.observe} by bellows replay {arguments.bag}'])
     if arguments.report:
         from bellows_ros.report.build import replay_page
 

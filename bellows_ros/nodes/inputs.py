@@ -38,7 +38,6 @@ from ..core.signals.trajectory import NS_PER_S
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
 from ..report import findings, health
-from ..report.sentences import alarm_sentence
 
 
 class SensorInput:
@@ -441,8 +440,8 @@ class Observing:
         alarms = self._live.alarms
         new_alarms, self._reported = alarms[self._reported:], len(alarms)
         for alarm in new_alarms:
-            text = f'Alarm, {alarm.cause}: {alarm_sentence(alarm)}'
-            self._pipeline.node.get_logger().error(text)
+            self._pipeline.node.get_logger().error(
+                f'Alarm, {alarm.kind}: {findings.text(alarm.finding)}')
 
     def wrench_status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics on the wrenches; None before the first message."""
@@ -468,12 +467,11 @@ class Observing:
             more['mass (kg)'] = f'{payload.mass:.4g} ± {payload.mass_std:.2g}'
             for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
                 more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
-        more |= Counter(f'alarm: {alarm.cause}' for alarm in live.alarms)
+        more |= Counter(f'alarm: {alarm.kind}' for alarm in live.alarms)
         status = health.input_status(
             name, self._measured_in.report(
                 {**{verdict: counts[verdict] for verdict in VERDICTS}, **self._no_view}))
         status.values.update({key: str(value) for key, value in more.items()})
         if alarm := live.alarm:
-            return status._replace(finding=health.fact(
-                'alarm', Level.ERROR, text=alarm_sentence(alarm)))
+            return status._replace(finding=alarm.finding)
         return status if live.attached else status.at_level(min(status.level, Level.WARN))

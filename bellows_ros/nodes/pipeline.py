@@ -260,7 +260,7 @@ class Pipeline(Predicting):
         if self.node.is_active:
             alarm, now_ns = self.live.alarm, time.monotonic_ns()
             self.outputs.publish_state(
-                f'alarm: {alarm.cause}' if alarm else self.live.phase(now_ns),
+                f'alarm: {alarm.kind}' if alarm else self.live.phase(now_ns),
                 abs(self.pose_in.age) <= health.MAX_AGE and self.live.is_ok_at(now_ns))
 
     # ------------------------------------------------------------- parameters

@@ -1,5 +1,5 @@
 """
-Sentences of findings, warnings, verdicts and alarms, from codes and numbers in SI units.
+Sentences of findings, warnings and verdicts, from codes and numbers in SI units.
 
 `texts/ROOM.toml` has the sentences of a room by code. A sentence is a format string; a format may
 end with a unit of `SENTENCE_UNITS`, which is printed after the number, or with `# noun` for a
@@ -19,7 +19,7 @@ import math
 from pathlib import Path
 from string import Formatter
 import tomllib
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
@@ -28,14 +28,12 @@ from bellows_ros.core.recording import alignment
 from bellows_ros.errors import shown
 import numpy as np
 
-if TYPE_CHECKING:
-    from bellows_ros.core.observer.alarms import Alarm, Sizes
-
 TEXTS = Path(__file__).with_name('texts')
 
 SENTENCE_UNITS: Mapping[str, tuple[float, str]] = {
     'mm': (1e3, 'mm'), 'um': (1e6, 'um'), 'mm/s': (1e3, 'mm/s'), 'ms': (1e3, 'ms'),
     'us': (1e6, 'us'), 'g': (1e3, 'g'), '%': (1e2, '%'), 'ppm': (1e6, 'ppm'),
+    'mrad': (1e3, 'mrad'),
     'deg': (math.degrees(1.0), 'degrees'), 'deg/s': (math.degrees(1.0), 'degrees/s')}
 """Units in sentences: their number in one SI unit, and their printed name."""
 
@@ -117,31 +115,6 @@ class _Sentence(Formatter):
             return listed([self.format_field(item, format_spec) for item in value])
         factor, name = SENTENCE_UNITS.get(unit, (1, ''))
         return f'{factor * value:{form}} {name}'.rstrip()
-
-
-def alarm_sentence(alarm: 'Alarm') -> str:
-    """
-    Return the finding of an alarm, its second cause, and a test to decide between them.
-
-    The finding of the second cause is left out if its standard error exceeds its size.
-    """
-    parts = [_finding(alarm.cause, alarm.parts, alarm), sentence(
-        'alarms', 'second', second=alarm.second, odds=max(alarm.odds, 1.0))]
-    if alarm.second_parts and all(std < size for size, std in alarm.second_parts):
-        parts.append(texts('alarms')['then'].format(
-            finding=_finding(alarm.second, alarm.second_parts, alarm)))
-    if alarm.second_parts:
-        parts.append(texts('alarms').get('_'.join(sorted((alarm.cause, alarm.second))), ''))
-    return ' '.join(filter(None, parts))
-
-
-def _finding(cause: str, parts: 'Sizes', alarm: 'Alarm') -> str:
-    sizes = dict(zip(('a', 'a_std', 'b', 'b_std'), (x for part in parts for x in part),
-                     strict=False)) or {'a': alarm.size, 'a_std': alarm.std}
-    code = cause.split()[0] + ('_both' if len(parts) > 1 else '') + (
-        '_by_vacuum' if alarm.shown_by == 'vacuum' else '')
-    x, y = alarm.place
-    return sentence('alarms', code, cup=alarm.cup, x=x, y=y, **sizes)
 
 
 def finding_sentence(finding: Finding, given: Mapping[str, Any]) -> str:

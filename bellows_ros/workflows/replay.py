@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-import math
 import os
 import time
 from typing import Any, NamedTuple
@@ -20,10 +19,9 @@ from bellows_ros.core.live.predictor import Messages, predicted_trajectory
 from bellows_ros.core.model import simulation, validity_range
 from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.calibration import calibrated, ModelCalibration, WORK_FOLDS
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.observer import Observer
-from bellows_ros.core.observer.results import Calibration, Payload
+from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
 from bellows_ros.core.parameters.table import PARAMETERS
@@ -43,8 +41,8 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import detections, File, results
+from bellows_ros.report import findings
 from bellows_ros.report.findings import text
-from bellows_ros.report.sentences import alarm_sentence, sentence
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.holds import signals_of, spans_held
 from bellows_ros.workflows.recordings import checked, load, no_progress, Progress, tag_sought
@@ -120,15 +118,9 @@ class Observed(NamedTuple):
     counts : mapping of str to int
         Numbers of used measured poses, and of others by reason.
     alarms : tuple of (float, Alarm)
-        Detected faults with their times, s from the first pose of the tool.
+        Alarms with their times, s from the first pose of the tool.
     payload : Payload or None
         Estimated mass and centre of mass, if payload.estimate is set.
-    calibration : Calibration or None
-        Estimated errors of the camera.
-    parameters : mapping
-        Parameters with these estimates, and their remaining uncertainty.
-    model_calibration : ModelCalibration or None
-        Calibrated measurement model, if requested.
     warnings : tuple of str
         Warnings on the kind of sensor.
 
@@ -139,9 +131,6 @@ class Observed(NamedTuple):
     counts: Mapping[str, int]
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None
-    calibration: Calibration | None
-    parameters: Mapping[str, Any]
-    model_calibration: ModelCalibration | None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -163,31 +152,20 @@ class Observed(NamedTuple):
                 f'Estimated: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
                 f'{_with_std(payload.com, payload.com_std, 1e3)} mm from the lip (± is the '
                 'Cramér-Rao bound).')
-        if found := self.model_calibration:
-            sentences.append(sentence(
-                'alarms', 'calibrated', poses=found.poses, before=found.before.per_hour,
-                after=found.after.per_hour, before_most=found.before.at_most,
-                after_most=found.after.at_most))
-        if self.calibration:
-            numbers = iter(self.calibration)
-            shift, turn, latency = map(
-                _with_std, numbers, numbers, (1e3, residuals.DISPLAY_FACTORS[3], 1e3))
-            sentences.append(
-                f'Errors of the camera: {shift} mm and {turn} degrees along and about world '
-                f'axes, {latency} ms of its stamps.')
         return ' '.join(sentences + ([] if self.alarms else ['No alarm.']))
 
     @property
     def alarm_lines(self) -> list[str]:
-        """Lines with the first detection of each cause and a remedy, and its later detections."""
+        """Lines with the first alarm of each kind and a remedy, and its later alarms."""
         times: dict[str, list[float]] = {}
         for seconds, alarm in self.alarms:
-            times.setdefault(alarm.cause, []).append(seconds)
-        messages = {alarm.cause: alarm_sentence(alarm) for _, alarm in reversed(self.alarms)}
+            times.setdefault(alarm.kind, []).append(seconds)
+        messages = {alarm.kind: findings.text(alarm.finding)
+                    for _, alarm in reversed(self.alarms)}
         return [
-            f'{first:.2f} s, {cause}: {messages[cause]}' + (
+            f'{first:.2f} s, {kind}: {messages[kind]}' + (
                 f' Found {1 + len(later)} times until {later[-1]:.2f} s.' if later else '')
-            for cause, (first, *later) in times.items()]
+            for kind, (first, *later) in times.items()]
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file: RMS errors in m and rad."""
@@ -195,12 +173,12 @@ class Observed(NamedTuple):
             'topic': self.topic, 'counts': dict(self.counts),
             'alarms': [
                 {'time': seconds, **results.attributes(
-                    alarm, 'cause', 'size', 'std', 'second', 'odds'),
-                 'message': alarm_sentence(alarm), 'units': {'size': 'm, m/s or 1'}}
+                    alarm, 'kind', 'shift', 'rotation', 'parameter', 'value', 'std'),
+                 'message': findings.text(alarm.finding),
+                 'units': {'shift': 'm', 'rotation': 'rad'}}
                 for seconds, alarm in self.alarms],
             'payload': self.payload and results.attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
-            'calibration': self.calibration,
             **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()},
             'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
 
@@ -326,7 +304,6 @@ class Replay(CommandResult):
 
 def replay(
     bag: File, settings: Mapping[str, Any], progress: Progress = no_progress, observe: str = '',
-    calibrate: bool = False,
 ) -> Replay:
     """
     Predict a recording with a cup, freely from start to end, and compare both.
@@ -345,8 +322,6 @@ def replay(
     observe : str
         Topic with measured poses of the package, which correct a second live prediction; default:
         none.
-    calibrate : bool
-        Whether to calibrate the measurement model on this recording, which must be without faults.
 
     Raises
     ------
@@ -371,7 +346,7 @@ def replay(
     live = predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
     camera = observed(
-        bag, recording, sent, live, values, observe, signals, calibrate) if sent else None
+        bag, recording, sent, live, values, observe, signals) if sent else None
     progress('done', 1.0)
     warnings = (note,) * bool(note) + _final_warnings(free, camera)
     return replace(free, live=live, observed=camera, warnings=warnings)
@@ -381,7 +356,7 @@ def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
     """Return the warnings; findings of a camera replace the mean stretch as explanations."""
     if camera is None:
         return free.warnings
-    losses = [seconds for seconds, alarm in camera.alarms if alarm.cause == 'lost']
+    losses = [seconds for seconds, alarm in camera.alarms if alarm.kind == 'lost']
     hint = _mass_hint(free.values, free.recording)
     if not losses:
         is_known = camera.alarms or free.values.payload.estimate
@@ -537,7 +512,6 @@ def _messages_of(stream: PoseStream) -> list[tuple[int, Any, Any, Any]]:
 def observed(
     bag: File, recording: Recording, messages: Messages, uncorrected: residuals.Comparison,
     values: Values, topic: str, signals: Sequence[Signal] = (),
-    calibrate: bool = False,
 ) -> Observed:
     """
     Predict a recording live with measured poses of the package, and compare both.
@@ -558,8 +532,6 @@ def observed(
         Topic with poses of the package in the world of the recording.
     signals : sequence of Signal
         Vacuum and valve; without signals the package is held from start to end.
-    calibrate : bool
-        Whether to calibrate the measurement model.
 
     Raises
     ------
@@ -571,15 +543,10 @@ def observed(
     values = values.replaced({'recording.package_world': checks.pose_text(pose)})
     observer, measured = Observer(values), _messages_of(stream)
 
-    def run(by: Observer, fold: int = -1) -> Trajectory:
-        live = live_predictor(values, signals)
-        live.package.observe(by)
-        live.alarms = by.alarms
-        part = measured if fold < 0 else measured[
-            fold * len(measured) // WORK_FOLDS:(fold + 1) * len(measured) // WORK_FOLDS]
-        return predicted_trajectory(live, messages, measured=part, signals=signals)
-
-    corrected = run(observer)
+    live = live_predictor(values, signals)
+    live.package.observe(observer)
+    live.alarms = observer.alarms
+    corrected = predicted_trajectory(live, messages, measured=measured, signals=signals)
     tool, package = compared_poses(recording)
     camera = _last_measured(observer, measured, package, package_of(values).com)
     prediction = uncorrected.select(uncorrected.stamps_ns >= camera.stamps_ns[0])
@@ -591,8 +558,6 @@ def observed(
     if later := len(measured) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later
     counts |= {reason: len(numbers) for reason, numbers in stream.refused.items()}
-    found = calibrated(
-        run, values, float(np.ptp(stream.stamps_ns)) / NS_PER_S) if calibrate else None
     return Observed(
         topic, {'prediction alone': prediction,
                 'camera alone': residuals.compare(
@@ -600,10 +565,7 @@ def observed(
                 'both': _compared(corrected, tool, package)}, counts,
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
-        observer.payload, observer.calibration, {
-            **_calibrated(observer.calibration, pose, world_rotation(
-                values.recording.world, values.gravity.direction)),
-            **(found.parameters if found else {})}, found,
+        observer.payload,
         _sensor_sentences(stream, values.measured.tag_size > 0.0))
 
 
@@ -621,32 +583,6 @@ def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Arra
     """Return a pose, position and quaternion (7,), shifted and then rotated by R."""
     return np.append(R @ (pose[:3] + shift),
                      lie.rotation_to_quaternion(R @ lie.quaternion_to_rotation(pose[3:])))
-
-
-def _calibrated(
-    calibration: Calibration | None, pose: Array, R_model_tool: Array
-) -> dict[str, Any]:
-    """
-    Return parameters that correct the errors of a camera.
-
-    Parameters
-    ----------
-    calibration : Calibration or None
-        Estimated errors of the camera in the world of the model.
-    pose : ndarray (7,)
-        Given pose of the camera's world in the model's world.
-    R_model_tool : ndarray (3, 3)
-        Rotation from the world of the tool to the world of the model.
-
-    """
-    if calibration is None:
-        return {}
-    shift, shift_std, turn, turn_std, latency, latency_std = calibration
-    return {
-        'recording.package_world': checks.pose_text(
-            _transformed_pose(pose, R_model_tool.T @ lie.exp_so3(-turn), -shift)),
-        'measured.camera_std': (float(shift_std.max()), float(turn_std.max())),
-        'measured.latency_std': math.hypot(latency, latency_std)}
 
 
 def _held_part(

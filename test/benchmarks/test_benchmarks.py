@@ -13,7 +13,6 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
 from benchmarks import many, offline, real_cup, startup, step, timing
-from benchmarks.alarms import delays, false_alarms, least_delays, passages, THRESHOLD
 from benchmarks.sensors import CELLS, JUDGED, trial
 from benchmarks.tables import markdown, MEBI, tables
 from benchmarks.worlds import line
@@ -64,14 +63,6 @@ def test_many_recordings_give_one_cup_by_any_route_to_a_small_client():
 def test_a_cup_is_found_where_the_first_guess_of_its_world_is_far_off():
     text, (z, *_) = line(16)
     assert 'accepted' in text and np.all(np.abs(z) < 4.0)
-
-
-def test_false_alarms_are_counted_with_the_error_of_the_state(monkeypatch):
-    monkeypatch.setattr('benchmarks.alarms.SECONDS', 10.0)
-    # the cells are simulated with the model itself: an allowance for its error would be too much
-    monkeypatch.setattr('bellows_ros.core.observer.correction.MODEL_ERROR_SHARE', 0.0)
-    causes, squares = false_alarms('white', 2, False)
-    assert not causes and 4.0 < squares < 30.0
 
 
 def test_a_cup_of_the_law_is_explained_wholly_and_found_from_wrenches_at_rest():
@@ -129,25 +120,6 @@ def test_table_of_nodes_has_the_bare_node_and_the_predictor_with_lost_poses():
     _, *rows = tables({'node': {'runs': runs}})['node']
     assert [(row[0], row[1], row[-1]) for row in rows] == [
         ('bare, 125 Hz', '800 us', '0 of 10'), ('predictor, 125 Hz', '400 us', '3 of 10')]
-
-
-def test_passage_time_agrees_with_wald():
-    """Pass on average after the threshold, and 0.583 std beyond it (Siegmund), by the drift."""
-    one = np.ones(1)
-    for d2 in (0.3, 1.0):
-        M = np.sqrt(d2) * np.eye(6)[:, :1] * np.ones((1000, 1, 1))
-        taken = np.concatenate([1 + passages(M, one, one[None], seed) for seed in range(80)])
-        expected = (THRESHOLD + 0.583 * np.sqrt(d2)) / (0.5 * d2)
-        assert taken.mean() == pytest.approx(expected, rel=0.03)
-    assert (passages(np.zeros((10, 6, 1)), one, one[None], 0) == -1).all()
-
-
-def test_test_for_a_slip_is_faster_than_a_general_test():
-    """Name a slip no sooner than tests that know its time and size, and its direction, find it."""
-    directed, least = (np.median(each) for each in least_delays('slip', 2, 'white', 2.0))
-    right, named = delays('slip', 2, 'white', 2.0)
-    assert right == 1.0
-    assert 0.1 < directed < least < np.mean(named)
 
 
 @pytest.mark.parametrize(('sensors', 'seed', 'seconds', 'structure'), [

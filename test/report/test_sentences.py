@@ -1,10 +1,8 @@
 """Sentences: each code has one, numbers have their unit, foreign text is shown safely."""
 
 
-from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.errors import shown
 from bellows_ros.report import sentences
-from bellows_ros.report.sentences import alarm_sentence
 import numpy as np
 import pytest
 
@@ -52,11 +50,3 @@ def test_shown_text_is_short():
     """Say that something is missing."""
     assert shown('a' * 81) == 'a' * 77 + '...' and shown('a' * 80) == 'a' * 80
     assert shown([1, 2]) == '[1, 2]'
-
-
-@pytest.mark.parametrize('std, is_said', [(0.1, True), (400.0, False)])
-def test_a_second_cause_of_unknown_size_has_no_finding(std, is_said):
-    """But the test that decides between the two causes."""
-    alarm = Alarm(0, 'payload', 0.3, 0.1, 'wear', 20.0, ((0.3, 0.1),), ((9.0, std), (0.8, 0.1)))
-    said = alarm_sentence(alarm)
-    assert ('Then: ' in said) == is_said and said.endswith('to decide between them.')

@@ -237,7 +237,7 @@ def test_dropped_package_raises_the_alarm_lost(filmed, tmp_path):
     write_bag(tmp_path / 'dropped', recorded)
     found = replay(tmp_path / 'dropped', values, observe=CAMERA)
     (seconds, alarm), = found.observed.alarms
-    assert (alarm.cause, alarm.second) == ('lost', 'camera')
+    assert (alarm.kind, alarm.shown_by) == ('lost', 'poses')
     assert 2.0 < seconds < 2.3
     assert f'The package is lost {seconds:.2f} s after' in found.warnings[0]
     assert not any('package.mass' in warning for warning in found.warnings)
@@ -246,7 +246,7 @@ def test_dropped_package_raises_the_alarm_lost(filmed, tmp_path):
     write_bag(tmp_path / 'heard', [*recorded, breaking(pressures, at_ns)])
     (seconds, alarm), = replay(
         tmp_path / 'heard', values, observe=CAMERA).observed.alarms
-    assert (alarm.cause, alarm.second) == ('lost', 'leak')
+    assert (alarm.kind, alarm.shown_by) == ('lost', 'vacuum')
     assert 2.0 <= seconds < 2.06
     write_bag(tmp_path / 'deaf', [*recorded, breaking(pressures, at_ns, bad=True)])
     with pytest.raises(BellowsError, match="vacuum.signal .*'pressure'.*vacuum/pressure"):

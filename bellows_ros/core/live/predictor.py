@@ -27,7 +27,7 @@ from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
-from bellows_ros.core.observer.alarms import Alarm, Alarms
+from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.observer.states import CAMERA_ROWS, SAME_PACKAGE
@@ -108,8 +108,8 @@ class LivePredictor:
     Attributes
     ----------
     alarms : list of Alarm
-        Detected faults, oldest first: stamp_ns, cause, size, its standard deviation, the second
-        likeliest cause, and the odds of the first to the second.
+        Alarms, oldest first: a lost package ('lost'), deviating poses ('deviates', with shift and
+        rotation), or a parameter that differs from its estimate ('differs').
     values : Values
         Parameters in use, with the chosen cup and without cups that do not hold; empty unless made
         by `from_parameters`.
@@ -300,7 +300,7 @@ class LivePredictor:
         if not self.alarms:
             return None
         newest, observer = self.alarms[-1], self.package.observer
-        lasts = self.state == LOST if newest.cause == LOST else (
+        lasts = self.state == LOST if newest.kind == LOST and newest.cup < 0 else (
             self.newest_ns - newest.stamp_ns < ALARM_DURATION_NS
             or (observer is not None and observer.departs_from_file))
         return newest if lasts else None
@@ -503,11 +503,9 @@ class LivePredictor:
     def _note_loss(self, stamp_ns: int) -> None:
         """Raise the alarm on a loss indicated by the vacuum, unless the camera has raised it."""
         if self._given.get('alarm.false_per_hour', 0.0) > 0.0 and not any(
-                alarm.cause == LOST and stamp_ns - alarm.stamp_ns < ALARM_DURATION_NS
+                alarm.kind == LOST and stamp_ns - alarm.stamp_ns < ALARM_DURATION_NS
                 for alarm in self.alarms):
-            observer = self.package.observer
-            self.alarms.append(Alarms.lost(
-                stamp_ns, False, observer is not None and observer.departs))
+            self.alarms.append(Alarm(stamp_ns, LOST, shown_by='vacuum'))
             self._alarms_seen = len(self.alarms)
 
     def _note_alarms(self) -> None:
@@ -518,7 +516,7 @@ class LivePredictor:
         if lost := {alarm.cup for alarm in new if alarm.cup >= 0} - self.lost_cups:
             self.lost_cups |= lost
             self.use(self._given)
-        if any(alarm.cause == LOST for alarm in new) and self.state in ON_CUP:
+        if any(alarm.kind == LOST and alarm.cup < 0 for alarm in new) and self.state in ON_CUP:
             self._cycle.end(LOST)
             observer = self.package.observer
             self._used_at_loss = observer.counts['used'] if observer is not None else 0

@@ -169,7 +169,7 @@ class Uncertainty:
         P = P.copy()
         P[:STATE, :STATE] = 0.0
         return self._correction.start(
-            prediction.stamp_ns, prediction.tool, prediction.body, Known(theta, P, memory), ())
+            prediction.stamp_ns, prediction.tool, prediction.body, Known(theta, P, memory))
 
     def _begin(self, estimate: Estimate) -> None:
         """Follow a motion from an estimate on."""

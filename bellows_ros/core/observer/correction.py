@@ -1,4 +1,4 @@
-"""Estimates of a held package: propagation with the tool, correction, test for faults."""
+"""Estimates of a held package: propagation with the tool, correction, evidence of deviations."""
 
 from __future__ import annotations
 
@@ -9,22 +9,17 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Vector, ZERO
 from bellows_ros.core.model.equilibrium import sag
-from bellows_ros.core.model.grip import one_of
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, State
-from bellows_ros.core.model.structure import is_single, maps
-from bellows_ros.core.observer import alarms, dynamics, likelihood, states
+from bellows_ros.core.observer import alarms, dynamics, states
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer import hypotheses as bank
 from bellows_ros.core.observer import measurement as measured
-from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
-from bellows_ros.core.observer.hypotheses import Likeliest
-from bellows_ros.core.observer.likelihood import prior_of
+from bellows_ros.core.observer.alarms import Alarm, Evidence
+from bellows_ros.core.observer.filter import Estimate
 from bellows_ros.core.observer.measurement import changed_by, MeasuredPose
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
 from bellows_ros.core.observer.states import KNOWN_ROWS, LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT, NEAR
 from bellows_ros.core.observer.track import Track
-from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -94,11 +89,9 @@ wrong payload would appear as noise with a long memory.
 WRENCH_ROWS = np.arange(states.WRENCH, states.WRENCH + 6)
 INERTIAS = slice(states.INERTIA, states.INERTIA + 3)
 
-NUMBERS = 54
-"""Number of stored entries of K and P of a cup: 27 each, in the three blocks of the kernels."""
-
-NO_CUPS: Array = np.zeros((0, NUMBERS))
-"""Cups of a gripper with a single cup, whose loss is the loss of the package."""
+DIFFERING_ROWS = np.arange(states.MASS, states.COM + 3)
+"""Rows of the parameters that may differ. A stiffness that differs raised six false alarms in
+0.3 h, by errors of the spring law."""
 
 
 def first_memory() -> Array:
@@ -106,24 +99,8 @@ def first_memory() -> Array:
     products = FIRST_SQUARES * math.exp(-FIRST_PERIOD / FIRST_MEMORY)
     memory: Array = np.r_[
         FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2),
-        MODEL_ERROR_SHARE, FIRST_JITTER**2, 0.0]
+        MODEL_ERROR_SHARE, FIRST_JITTER**2, 0.0, 0.0]
     return memory
-
-
-def cups_of(model: ModelTuple, places: Array) -> Array:
-    """
-    Return K and P (n, 54) of each cup of a gripper for strains at the origin.
-
-    The model describes the gripper with cups at places (n, 4), as `places_of` returns them.
-    """
-    if len(places) < 2 or is_single(places):
-        return NO_CUPS
-    A, each = maps(places), []
-    for matrix in model[0][2:4]:  # A_i^T K_1 A_i of each cup, as rows of blocks
-        oo, oR, RR = (np.reshape(block, (3, 3)) for block in one_of(matrix, places))
-        M = np.swapaxes(A, 1, 2) @ np.block([[oo, oR], [oR.T, RR]]) @ A
-        each += [M[:, :3, :3], M[:, :3, 3:], M[:, 3:, 3:]]
-    return np.stack(each, axis=1).reshape(len(places), NUMBERS)
 
 
 def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
@@ -185,7 +162,8 @@ class Correction:
         Prior of all estimates.
     holding_reach : float
         Largest displacement (m) of the lip of a holding cup from its place without load.
-    alarms : Alarms or None
+    false_per_hour : float
+        Allowed rate of false alarms; 0 for no alarms.
 
     """
 
@@ -196,12 +174,9 @@ class Correction:
         self.nominal, self.max_step, self.reach = model, max_step, reach
         self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
         self.law = law_of(model)
-        self._row = model_row(model)
+        self.row = model_row(model)
         stated = states.stated_by(values, model)
         self.prior = states.each_row('prior', stated)
-        steps = bank.START_STEPS @ bank.PRIOR_STD[:bank.START_STEPS.shape[1]]
-        self.prior[bank.START_ROWS] = np.maximum(
-            self.prior[bank.START_ROWS], bank.LEAST_PRIOR * steps)
         prior = np.diag(np.square(self.prior))
         prior[INERTIAS, INERTIAS] = stated.inertia
         n = states.ROWS_WITHOUT_SENSOR
@@ -211,12 +186,7 @@ class Correction:
         self.largest[WRENCH_ROWS] *= stated.weight
         self._walk = np.square(states.each_row('walk', stated))
         self._sag = sag(model)
-        self._marker, places = marker, places_of(values)
-        self._cups = cups_of(model, places)
-        allowed = values.alarm.false_per_hour
-        self.alarms = None if allowed <= 0.0 else alarms.Alarms(
-            allowed, places, marker[3][0], values.measured.latency_std)
-        self._steps = bank.steps_of(marker[2])
+        self._marker, self.false_per_hour = marker, values.alarm.false_per_hour
         noise = values.tool_noise.position, values.tool_noise.rotation
         self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
 
@@ -234,18 +204,15 @@ class Correction:
             self.weight**2 * (normal + SLIDING**2 * across), np.square(moment) * across])
 
     def start(
-        self, stamp_ns: int, tool: State, body: State, initial: Known, lost_cups: tuple[int, ...],
-        on_support: bool = False,
+        self, stamp_ns: int, tool: State, body: State, initial: Known, on_support: bool = False,
     ) -> Estimate:
         """Return the initial estimate of a package at rest."""
         self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
-        self._at_start = prior_of(initial.theta, initial.covariance)
         theta, P, memory = initial
         if on_support:
             P = P.copy()
             P[:STATE, :STATE] = np.diag(np.square(ON_SUPPORT))
-        return self._renewed(
-            Estimate(stamp_ns, tool, body, theta, P, memory, lost_cups=lost_cups))
+        return Estimate(stamp_ns, tool, body, theta, P, memory)
 
     def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
         """Return the first estimate of a package that was predicted for some time (ns)."""
@@ -255,32 +222,16 @@ class Correction:
         track.begin(since_ns)
         for k in range(1, HANGING_SAMPLES + 1):
             track.add(since_ns + k * hung_ns // HANGING_SAMPLES, still, still, body)
-        before = estimate._replace(
-            stamp_ns=since_ns, tool=still, body=body, evidence=NO_EVIDENCE)
+        before = estimate._replace(stamp_ns=since_ns, tool=still, body=body)
         return estimate._replace(
             covariance=self.propagated(before, track, estimate.stamp_ns).covariance)
-
-    def row(self, lost_cups: tuple[int, ...]) -> Any:
-        """Return the `model_row` without lost cups."""
-        if not lost_cups:
-            return self._row
-        row = np.array(self._row)
-        row[2:2 + NUMBERS] -= self._cups[list(lost_cups)].sum(axis=0)
-        return row
-
-    def _holding(self, lost_cups: tuple[int, ...]) -> Array:
-        """Return the holding cups, see `cups_of`; none for the last cup."""
-        cups = np.delete(self._cups, list(lost_cups), axis=0) if lost_cups else self._cups
-        return cups if len(cups) > 1 else NO_CUPS
 
     def _step(
         self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, support: int = 0,
-    ) -> tuple[int, Estimate, Likeliest]:
-        """Return verdict, estimate and faults by `filter_step`; with gate 0 propagate only."""
+    ) -> tuple[measured.Corrected, Estimate]:
+        """Return result and estimate of `filter_step`; with gate 0 propagate only."""
         evidence, theta, walk = before.evidence, before.theta, self._walk
-        if support:
-            evidence = NO_EVIDENCE._replace(from_start=evidence.from_start)
         if support == CONTACT:
             walk = walk.copy()
             walk[WRENCH_ROWS] += self._by_support(before.body) / TOUCHDOWN
@@ -288,21 +239,20 @@ class Correction:
         if late:  # correction for reading the pose earlier
             theta = theta.copy()
             theta[states.LATENCY - STATE] -= late
-        result = likelihood.filter_step(
-            self.row(before.lost_cups), self.law, before.numbers(theta),
-            track.samples, is_recorded, stamp_ns, self.max_step,
-            (self._drive, walk, self._marker[3][0]), evidence, self._at_start, self._steps,
-            self._holding(before.lost_cups),
+        result = measured.filter_step(
+            self.row, self.law, before.numbers(theta), track.samples, is_recorded, stamp_ns,
+            self.max_step, (self._drive, walk, self._marker[3][0]),
             MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
-                self.holding_reach, self.largest, self._sag if support == NEAR else 0.0, gate))
+                self.holding_reach, self.largest, self._sag if support == NEAR else 0.0, gate),
+            evidence.poses < alarms.KNOWN_COUNT,
+            before.memory[ekf.COUNT] < alarms.KNOWN_COUNT
+            or bool(evidence.squares.max() <= alarms.USUAL))
         _, tool, body, theta, P, memory = result.estimate
         theta[states.LATENCY - STATE] += late
-        return result.verdict, before._replace(
+        return result, before._replace(
             stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            contact=max(before.contact + result.rise, 0.0),
-            fall=max(before.fall + result.fall, 0.0), evidence=result.evidence,
-            suspect_ns=() if support else before.suspect_ns), result.likeliest
+            contact=max(before.contact + result.rise, 0.0))
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
@@ -326,56 +276,55 @@ class Correction:
         """Return the package at the newest sample of the tool, and write it into the samples."""
         if estimate.stamp_ns == track.newest_ns:
             return estimate.body
-        return ekf.body_at_end(
-            self.row(estimate.lost_cups), self.law, estimate.moving, track.samples,
-            track.newest_ns, self.max_step)
+        return ekf.body_at_end(self.row, self.law, estimate.moving, track.samples,
+                               track.newest_ns, self.max_step)
 
     def updated(
         self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
-        support: int = 0, has_vacuum: bool | None = None,
-    ) -> tuple[Estimate, str, alarms.Alarm | None]:
+        support: int = 0,
+    ) -> tuple[Estimate, str, Alarm | None]:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
 
         Further results are the verdict (`used`, `recovered`, `gate` or `out_of_reach`),
         and an alarm, if any. While a support may be near, estimates of camera, cup and package
-        are kept, and faults are not tested. From contact on, its wrench is estimated.
+        are kept, and deviations do not count. From contact on, its wrench is estimated.
         """
         if before.support and not support:
             before = self.released(before)
         support = max(support, CONTACT if support and before.support == CONTACT else 0)
         if not measurement.is_pose:
-            return self._step(before, track, measurement.stamp_ns, is_recorded, support=support)[
-                1]._replace(support=support), '', None
+            after = self._step(
+                before, track, measurement.stamp_ns, is_recorded, support=support)[1]
+            after = after._replace(support=support)
+            return after, '', self._differing(after, after.evidence)[1]
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
-        verdict, after, likeliest = self._step(
+        result, after = self._step(
             before, track, stamp_ns, is_recorded, measurement, measured.GATE, support)
-        if has_vacuum is not None:  # the vacuum tells a fall from a release
-            after = after._replace(fall=0.0)
-        fallen = self.alarms.fallen(stamp_ns, after.fall) if self.alarms and support else None
-        if verdict in (measured.OUT_OF_REACH, measured.FALLING):
-            falls = verdict == measured.FALLING and (before.falls or before.away_ns == 0)
-            return before._replace(falls=falls, fall=after.fall), 'out_of_reach', fallen
-        gated = (*before.gated_ns, stamp_ns) if verdict == measured.OUTSIDE else ()
+        weight = math.sqrt(max(result.distance / measured.OUTLIER_DISTANCE, 1.0))
+        seen = alarms.Seen(
+            stamp_ns, result.exposed, weight * result.z, weight * result.whitener)
+        if result.verdict == measured.OUT_OF_REACH:
+            return before._replace(
+                evidence=before.evidence._replace(seen=seen)), 'out_of_reach', None
+        gated = (*before.gated_ns, stamp_ns) if result.verdict == measured.OUTSIDE else ()
         name = 'used' if not gated else 'recovered' if (
-            len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS
-            and not self._may_be_fault(after, likeliest)) else 'gate'
+            len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
         after = after._replace(
             gated_ns=gated, away_ns=before.away_ns if gated else 0, support=support,
-            late_ns=measurement.stamp_ns - stamp_ns)
+            late_ns=measurement.stamp_ns - stamp_ns,
+            evidence=before.evidence._replace(seen=seen))
         if support:
-            after, fault = self._touching(after), fallen
+            after, alarm = self._touching(after), None
             known = KNOWN_ROWS[KNOWN_ROWS < len(before.covariance)]
             block = np.ix_(known, known)
             after.theta[known - STATE] = before.theta[known - STATE]
             after.covariance[block] = before.covariance[block]
         else:
-            after, fault = self._judged(before, after, likeliest, has_vacuum)
-        if fault is not None:
-            return after, name, fault
-        if name == 'recovered':
+            after, alarm = self._judged(before, after, seen, result.z)
+        if alarm is None and name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
-        return after, name, None
+        return after, name, alarm
 
     def met(self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool) -> Estimate:
         """
@@ -400,7 +349,7 @@ class Correction:
         The package turns about the middle of the bending cup. The moment balances the weight.
         """
         cup, (_, com, _, _), _ = dynamics.model_at(
-            self.row(estimate.lost_cups), self.law, estimate.theta)
+            self.row, self.law, estimate.theta)
         error, turn = np.zeros(len(estimate.covariance)), self._turn_to_flat(estimate.body)
         if turn is None:
             return error
@@ -446,58 +395,55 @@ class Correction:
         body, theta = changed_by(estimate.body, estimate.theta, gain @ np.array(turn[:2]))
         return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
-    def excess(self, estimate: Estimate, rows: Any) -> Array:
-        """Return the deviations of an estimate beyond the deviations allowed by the parameters."""
-        std = np.sqrt(estimate.covariance[rows, rows])
-        excess: Array = np.abs(estimate.theta[rows - STATE]) - bank.MAX_DEVIATION * (
-            self.prior[rows] + std)
-        return excess
-
-    def _may_be_fault(self, estimate: Estimate, likeliest: Likeliest) -> bool:
-        """Return whether the evidence is close to an alarm; a restart would lose the evidence."""
-        suspect_ns = estimate.suspect_ns
-        return self.alarms is not None and bool(suspect_ns) and (
-            self.alarms.is_likely(likeliest.total, likeliest.lead)
-            and estimate.stamp_ns - suspect_ns[0] < bank.DECIDE_NS)
-
     def _judged(
-        self, before: Estimate, after: Estimate, likeliest: Likeliest, has_vacuum: bool | None
-    ) -> tuple[Estimate, alarms.Alarm | None]:
-        """Return an estimate with a detected fault removed, and the alarm on it."""
-        row, stamp_ns = states.LATENCY, after.stamp_ns
+        self, before: Estimate, after: Estimate, seen: alarms.Seen, z: Array
+    ) -> tuple[Estimate, Alarm | None]:
+        """Return an estimate with the evidence of a pose, and the alarm on it."""
+        row, is_tag = states.LATENCY, self._marker[3][0]
         change = after.theta[row - STATE] - before.theta[row - STATE]
         if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
             after.covariance[row, row] += change**2
             return self._renewed(after), None
-        if self.alarms is None:
+        if is_tag and 0 < len(after.gated_ns) < alarms.BURST:
             return after, None
-        is_back = before.gated_ns and not after.gated_ns  # earlier evidence does not count
-        suspect_ns = self.alarms.suspect_ns(
-            () if is_back else after.suspect_ns, stamp_ns, likeliest.total)
-        if suspect_ns != after.suspect_ns:
-            after = after._replace(suspect_ns=suspect_ns)
-        fault = self.alarms.detected(after, self._at_start, likeliest, has_vacuum)
-        if fault is None:
-            onsets = after.evidence.onsets
-            gated = len(after.gated_ns) if onsets[0, 0] >= bank.SETTLING else 0
-            alarm = self.alarms.disturbance(stamp_ns, gated, likeliest, onsets)
-            return after if alarm is None else self._renewed(  # the state may be any
-                self._unsure(after, np.arange(STATE))), alarm
-        lost_cups = after.lost_cups + ((fault.cup,) if fault.cup >= 0 else ())
-        body, theta = changed_by(after.body, after.theta, fault.error)
-        if not dynamics.is_possible(body, theta, self.largest):
-            return self._renewed(after, False), fault.alarm
-        memory = np.r_[self.initial.memory[:ekf.FACTORS], after.memory[ekf.FACTORS:]]
-        return self._renewed(after._replace(  # the fault has increased the noise, too
-            body=body, theta=theta, memory=memory, lost_cups=lost_cups,
-            covariance=after.covariance + fault.spread @ fault.spread.T), False), fault.alarm
+        after, alarm = self._differing(after, before.evidence.after(seen, z))
+        allowed, memory, evidence = self.false_per_hour, after.memory, after.evidence
+        squares, lasted_ns = evidence.squares, seen.stamp_ns - evidence.since_ns
+        if alarm or not allowed or memory[ekf.COUNT] <= alarms.KNOWN_COUNT or (
+                squares.max() < alarms.threshold(allowed, memory[ekf.PERIOD])) or (
+                is_tag and lasted_ns < alarms.VIEW_NS):
+            return after, alarm
+        alarm = alarms.deviation(seen, evidence.means[squares.argmax()], evidence.since_ns)
+        return self._renewed(self._unsure(after, np.arange(STATE))), alarm
 
-    def _renewed(self, estimate: Estimate, from_start: bool = True) -> Estimate:
-        """Return an estimate without evidence of faults; whether they may be from the start."""
-        evidence = NO_EVIDENCE if self.alarms is None else self.alarms.start(
-            estimate.stamp_ns, len(estimate.covariance), len(self._holding(estimate.lost_cups)),
-            from_start and estimate.evidence.from_start)
-        return estimate._replace(gated_ns=(), suspect_ns=(), evidence=evidence)
+    def _differing(
+        self, estimate: Estimate, evidence: Evidence
+    ) -> tuple[Estimate, Alarm | None]:
+        """Return an estimate with evidence and its count of a parameter that differs."""
+        rows = DIFFERING_ROWS
+        P, prior = (np.diag(each)[rows] for each in (
+            estimate.covariance, self.initial.covariance))
+        sizes = alarms.significance(estimate.theta[rows - STATE], P, prior)
+        count = evidence.differing + 1 if sizes.max() > alarms.SIGNIFICANCE else 0
+        estimate = estimate._replace(evidence=evidence._replace(differing=count))
+        if count < alarms.DIFFERING or not self.false_per_hour:
+            return estimate, None
+        return estimate, self._difference(estimate, int(sizes.argmax()))
+
+    def _difference(self, estimate: Estimate, row: int) -> Alarm:
+        """Return the alarm on a parameter that differs, by its place among `DIFFERING_ROWS`."""
+        mass, com, _, _ = dynamics.model_at(self.row, self.law, estimate.theta)[1]
+        std = np.sqrt(np.diag(estimate.covariance)[DIFFERING_ROWS]).tolist()
+        alarm = Alarm(estimate.stamp_ns, alarms.DIFFERS)
+        if row == 0:
+            return alarm._replace(parameter='package.mass', value=(mass,), std=(std[0] * mass,))
+        return alarm._replace(parameter='package.com', value=com, std=tuple(std[1:]))
+
+    @staticmethod
+    def _renewed(estimate: Estimate) -> Estimate:
+        """Return an estimate without evidence of deviations."""
+        return estimate._replace(
+            gated_ns=(), evidence=Evidence(seen=estimate.evidence.seen))
 
     def _unsure(self, estimate: Estimate, rows: Array) -> Estimate:
         """Return an estimate with the prior variance added to some rows."""
@@ -532,14 +478,10 @@ class Correction:
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
     ) -> Estimate:
         """Return an estimate with initial uncertainty, corrected with a measurement."""
-        evidence = estimate.evidence
         largest = self.largest[STATE:len(estimate.covariance)]
         theta = np.where(np.abs(estimate.theta) <= largest, estimate.theta, 0.0)
         restarted = self._unsure(estimate, np.r_[:STATE, WRENCH_ROWS])._replace(
-            theta=theta, memory=memory, evidence=NO_EVIDENCE)
-        _, after, _ = self._step(
+            theta=theta, memory=memory)
+        _, after = self._step(
             restarted, track, estimate.stamp_ns, True, measurement, math.inf, estimate.support)
-        # a fault this early was present from the start
-        is_early = bool(evidence.onsets[0].max(initial=0) < bank.MIN_NOISE_COUNT)
-        return self._renewed(
-            after._replace(memory=memory, away_ns=0, evidence=evidence), is_early)
+        return self._renewed(after._replace(memory=memory, away_ns=0))

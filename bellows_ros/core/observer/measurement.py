@@ -9,15 +9,23 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import COMPILED, entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
-from bellows_ros.core.model import jacobians, kernels
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.dynamics import is_possible, with_theta, wrench_bias
+from bellows_ros.core.observer.dynamics import (
+    acceleration,
+    is_possible,
+    with_theta,
+    wrench_bias,
+)
 from bellows_ros.core.observer.pose_sensor import Marker
 from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, NOISE, STATE
 from bellows_ros.core.sensors.corners import equivalent_pose, SAME_VIEW, write_image
+from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class MeasuredPose(NamedTuple):
@@ -118,13 +126,11 @@ def at_exposure(model: ModelTuple, tool: State, body: State, theta: Array) -> St
     late = theta[LATENCY - STATE]
     if abs(late) < 1e-9:  # below the resolution of a stamp
         return body
-    bias, half = wrench_bias(theta), 0.5 * late * late
-    dv, dw = kernels.body_acceleration(model, tool, body)
-    more = jacobians.acceleration_at(model[1], model[1][1], bias[0], bias[1])
-    dv = t3.add(t3.add(dv, more[0]), t3.cross(body[3], body[2]))
+    half, (dv, dw) = 0.5 * late * late, acceleration(model, wrench_bias(theta), tool, body)
+    dv = t3.add(dv, t3.cross(body[3], body[2]))
     return moved(
         body, t3.add_scaled(t3.scale(-late, body[2]), half, dv),
-        t3.add_scaled(t3.scale(-late, body[3]), half, t3.add(dw, more[1])), ZERO, ZERO)
+        t3.add_scaled(t3.scale(-late, body[3]), half, dw), ZERO, ZERO)
 
 
 class Innovation(NamedTuple):
@@ -317,6 +323,7 @@ def updated_memory(
             out[ekf.JITTER] * math.exp(growth_of_jitter), JITTER_RANGE[0]), JITTER_RANGE[1])
     least = min(out[ekf.SHARE], SHARE_RANGE[0])
     out[ekf.SHARE] = min(max(out[ekf.SHARE] * math.exp(growth), least), SHARE_RANGE[1])
+    out[ekf.COUNT] += 1.0
     if not is_used:
         return out
     other = 1.0 - out[ekf.SAME]  # another view
@@ -331,32 +338,18 @@ def updated_memory(
 
 
 @kernel
-def vertical_ratios(
-    body: State, gravity: Vector, innovation: Innovation, sag: float
-) -> tuple[float, float]:
+def rise_ratio(body: State, gravity: Vector, innovation: Innovation, sag: float) -> float:
     """
-    Return the log-likelihood ratios of a rise by the sag of the cup (m), and of a fall.
+    Return the log-likelihood ratio of a rise by the sag of the cup (m).
 
-    From contact on, a support takes the weight off the cup, which shortens by its sag. The ratio
-    of a fall is computed for its likeliest length, from `LEAST_FALL` on, minus `FALL_COST`.
+    From contact on, a support takes the weight off the cup, which shortens by its sag.
     """
     n = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
     g = t3.norm(gravity)
     along, square = _along(
         innovation, np.array((n[0] / g, n[1] / g, n[2] / g, 0.0, 0.0, 0.0)))
-    fall = 0.5 * along * along / square if along > LEAST_FALL * square else 0.0
-    return -sag * (along + 0.5 * sag * square), fall - FALL_COST
+    return -sag * (along + 0.5 * sag * square)
 
-
-LEAST_FALL = 5e-3
-"""Smallest length of a fall at a pose, which takes the period of a usual camera, m."""
-
-FALL_COST = 1.0
-"""Cost of the unknown length of a fall at each pose, by which the sum of ratios decreases without
-a fall."""
-
-FALL_RATIO = 0.5 * OUTLIER_DISTANCE - FALL_COST
-"""Log-likelihood ratio of a fall by a pose out of reach, the largest of one pose."""
 
 RELATIVE_ROUNDING = 1e-12
 """
@@ -373,27 +366,8 @@ OUTSIDE = 1
 OUT_OF_REACH = 2
 """Verdict on a pose out of any reach of the cup."""
 
-FALLING = 3
-"""Verdict on a pose out of reach that is consistent with a fall."""
-
-FALL_ALIGNMENT = 0.8
-"""Smallest cosine between a fall, relative to an accelerating tool, and gravity."""
-
-FALL_FACTOR = 2.0
-"""Largest ratio of the acceleration of a fall, relative to an accelerating tool, to gravity."""
-
-
 SPREAD = 5.0
 """Largest error of a pose that is within reach, standard deviations."""
-
-
-@kernel
-def _is_fall(away: Vector, gravity: Vector, reach: float, seconds: float) -> bool:
-    """Return whether a fall from within reach (m) explains a displacement (m, world) in a time."""
-    g = t3.norm(gravity)
-    most = math.sqrt(reach) + math.sqrt(0.5 * FALL_FACTOR * g) * seconds
-    return t3.norm(away) <= most * most and (
-        t3.dot(away, gravity) >= FALL_ALIGNMENT * g * t3.norm(away))
 
 
 @kernel
@@ -412,7 +386,7 @@ def tag_seen(
     """Return the result of `equivalent_pose` for the corners of a tag at a measured pose."""
     seen, (offset, rotation, of_lip, sensor) = np.empty((1, 8)), marker
     write_image((position, q, ZERO, ZERO), (
-        sensor[3], sensor[4], ZERO, jacobians.IDENTITY, sensor[5]), seen[0])
+        sensor[3], sensor[4], ZERO, IDENTITY, sensor[5]), seen[0])
     back = t3.rotation_matrix(t3.exp_quaternion(
         t3.scale(-1.0, vector_at(theta, CAMERA + 3))))
     turned = t3.rotation_matrix(t3.exp_quaternion(vector_at(theta, MARKER + 3)))
@@ -447,97 +421,87 @@ def _measured_difference(
 
 
 @kernel
-def _is_beyond(away: Vector, arm: Vector, noise: Array, reach: float) -> bool:
-    """
-    Return whether the noise of a pose does not explain a displacement of the lip (m, B axes).
-
-    A plane separates the displacement from those within reach, plus `SPREAD` standard deviations
-    of the noise (6, 6) along its normal. The lip is at an arm from B.
-    """
-    if t3.norm(away) <= reach:
-        return False
-    wide = noise.copy()
-    for i in range(6):
-        wide[i, i] += (reach / SPREAD) ** 2
-    W, x = cholesky(wide)[1], np.zeros(6)
-    for i in range(6):
-        for k in range(3):
-            x[i] += W[i, k] * away[k]
-    u, variance = np.zeros(6), 0.0
-    for k in range(3):
-        for i in range(6):
-            u[k] += W[i, k] * x[i]
-    normal = u[0], u[1], u[2]
-    u[3], u[4], u[5] = t3.cross(arm, normal)
-    for i in range(6):
-        for j in range(6):
-            variance += u[i] * noise[i, j] * u[j]
-    return t3.dot(normal, away) > reach * t3.norm(normal) + SPREAD * math.sqrt(variance)
-
-
-@kernel
-def _out_of_reach(
+def _is_out_of_reach(
     model: ModelTuple, tool: State, there: State, theta: Array, P: Array, noise: Array,
-    seconds: float, seen: MeasuredPose,
-) -> int:
-    """Return `FALLING` or `OUT_OF_REACH` for a pose beyond any lip's reach, otherwise `USED`."""
+    seen: MeasuredPose,
+) -> bool:
+    """Return whether a pose is beyond any lip's reach, with `SPREAD` deviations of its noise."""
     com, R = model[1][1], t3.rotation_matrix(there[1])
     o = kernels.lip_relative_to_tool(com, tool, there)[0]
     late = 3.0 * math.sqrt(P[LATENCY, LATENCY]) + abs(theta[LATENCY - STATE])
     unknown = np.trace(P[COM:COM + 3, COM:COM + 3]) + np.trace(
         P[CAMERA:CAMERA + 3, CAMERA:CAMERA + 3])
     reach = seen.reach + 3.0 * math.sqrt(unknown) + late * t3.norm(tool[2])
-    spread = SPREAD * math.sqrt(noise[0, 0] + noise[1, 1] + noise[2, 2])
     away = t3.apply(t3.rotation_matrix(tool[1]), (o[0], o[1], o[2] + model[0][1]))
-    falls = _is_fall(away, model[2], reach + spread, seconds)
-    # near a support a fall is short: its length does not include the cup's, as a cup that holds
-    # may be compressed by it, but not stretched
-    reach -= model[0][1] if falls and seen.sag > 0.0 else 0.0
-    if _is_beyond(t3.apply_transposed(R, away), t3.scale(-1.0, com), noise, reach):
-        return FALLING if falls else OUT_OF_REACH
-    return USED
+    distance, variance = t3.norm(away), 0.0
+    n = t3.scale(1.0 / max(distance, 1e-9), t3.apply_transposed(R, away))
+    m = t3.cross(n, com)  # a rotation of the pose moves the lip
+    u = n[0], n[1], n[2], m[0], m[1], m[2]
+    for i in range(6):
+        for j in range(6):
+            variance += u[i] * noise[i, j] * u[j]
+    return bool(distance > reach + SPREAD * math.sqrt(variance))
 
 
-@kernel
-def updated(
-    model: ModelTuple, estimate: ekf.EstimateTuple, seconds: float, seen: MeasuredPose,
-    gain: Array, is_early: bool,
-) -> tuple[int, bool, Innovation, State, Array, Array]:
+class Corrected(NamedTuple):
+    """An estimate after a measurement."""
+
+    verdict: int
+    """`USED`, `OUTSIDE` the gate or the physical range of a state, or `OUT_OF_REACH` of any lip,
+    as of another package."""
+    estimate: ekf.EstimateTuple
+    """Corrected by a used pose; otherwise unchanged, but for the noise outside the gate."""
+    exposed: State
+    """Predicted package at the exposure."""
+    z: Array
+    """Whitened innovation (6,), of an outlier as enlarged by its covariance."""
+    whitener: Array
+    distance: float
+    """Its squared distance, without the enlargement."""
+    rise: float
+    """Log-likelihood ratio of a rise by the sag of the cup near a support."""
+
+
+@entry
+def filter_step(
+    row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples, is_recorded: bool,
+    until_ns: int, max_step: float, noise: ekf.Noise, seen: MeasuredPose, is_early: bool,
+    learns: bool,
+) -> Corrected:
     """
-    Update an estimate at the stamp of a pose with it.
+    Propagate an estimate to a later stamp, and correct it with a pose, if any.
 
-    The previous estimate was some time (s) before, and the covariance of the state has gained
-    `gain` (12, 12) since. An early pose is used outside the gate, too: the estimate has the
-    evidence of faults from the start.
-
-    Returns
-    -------
-    int, bool
-        `USED`, `OUTSIDE` the gate or the physical range of a state, `OUT_OF_REACH` of any lip
-        (another package), or `FALLING` (the package fell); and whether the pose is used.
-    Innovation
-    State, ndarray (n - 12,), ndarray (15,)
-        Body, theta and memory: corrected by a used pose, as P in place; otherwise unchanged,
-        except for the size of the noise outside the gate.
-
+    An early pose is used outside the gate, too. Whether the noise is learned from the pose is
+    given. Other inputs are as for `model_of` and `predicted`. One kernel, with the model as an
+    array, is faster to call from Python.
     """
-    _, tool, body, theta, P, memory = estimate
-    model = with_theta(model, theta)
+    nominal, seconds, rise = kernels.model_of(row, law), (until_ns - estimate[0]) / NS_PER_S, 0.0
+    after, gain = ekf.predicted(
+        nominal, estimate, samples, is_recorded, until_ns, max_step, noise)
+    _, tool, body, theta, P, memory = after
+    if seen.gate == 0.0:
+        return Corrected(USED, after, body, np.zeros(6), gain[:6, :6].copy(), 0.0, rise)
+    model = with_theta(nominal, theta)
     exposed = at_exposure(model, tool, body, theta)
-    difference, noise = _measured_difference(model, tool, exposed, theta, seen)
-    _enlarge(noise, memory)
+    difference, covariance = _measured_difference(model, tool, exposed, theta, seen)
+    _enlarge(covariance, memory)
     innovation = innovation_of(
-        exposed, theta, P, difference, noise, seen.marker, memory[ekf.JITTER])
+        exposed, theta, P, difference, covariance, seen.marker, memory[ekf.JITTER])
     there = moved(exposed, (difference[0], difference[1], difference[2]),
                   (difference[3], difference[4], difference[5]), ZERO, ZERO)
-    verdict = _out_of_reach(model, tool, there, theta, P, noise, seconds, seen)
-    inside = innovation.distance <= seen.gate  # false for NaN
-    is_used = verdict == USED and (inside or is_early)
-    if is_used:
-        is_used, body, theta = posterior(body, theta, P, innovation, seen.largest)
-    if verdict == USED and not (is_used and inside):
-        verdict = OUTSIDE
-    if verdict <= OUTSIDE:
-        memory = updated_memory(
-            memory, theta, seconds, innovation, gain, verdict == USED)
-    return verdict, is_used, innovation, body, theta, memory
+    verdict = USED
+    if _is_out_of_reach(model, tool, there, theta, P, covariance, seen):
+        verdict = OUT_OF_REACH
+    else:
+        inside = innovation.distance <= seen.gate  # false for NaN
+        is_used = inside or is_early
+        if is_used:
+            is_used, body, theta = posterior(body, theta, P, innovation, seen.largest)
+        if not (is_used and inside):
+            verdict = OUTSIDE
+        if learns:
+            memory = updated_memory(memory, theta, seconds, innovation, gain, verdict == USED)
+        if seen.sag > 0.0 and verdict == USED:
+            rise = rise_ratio(body, nominal[2], innovation, seen.sag)
+    return Corrected(verdict, (until_ns, tool, body, theta, P, memory), exposed, innovation.z,
+                     innovation.whitener, innovation.distance, rise)

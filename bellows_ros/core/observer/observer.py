@@ -10,28 +10,28 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import deque
+from itertools import pairwise
 import math
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import row_state
-from bellows_ros.core.observer import dynamics, states
+from bellows_ros.core.observer import alarms, dynamics, states
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.alarms import Alarm
+from bellows_ros.core.observer.alarms import Alarm, DIFFERS, LOST
 from bellows_ros.core.observer.correction import Correction, Known
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
-from bellows_ros.core.observer.filter import Estimate, NO_EVIDENCE
-from bellows_ros.core.observer.hypotheses import MAX_ODDS, MIN_NOISE_COUNT
-from bellows_ros.core.observer.measurement import changed_by
+from bellows_ros.core.observer.filter import Estimate
+from bellows_ros.core.observer.measurement import changed_by, OUTLIER_DISTANCE
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT, PoseSensor
-from bellows_ros.core.observer.results import Calibration, calibration_of, Payload, payload_of
+from bellows_ros.core.observer.results import Payload, payload_of
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_ROWS, STATE
 from bellows_ros.core.observer.support import Support
 from bellows_ros.core.observer.track import Track
-from bellows_ros.core.observer.wrench_alarms import Watch
-from bellows_ros.core.observer.wrenches import WrenchFilter
+from bellows_ros.core.observer.wrenches import Watch, WrenchFilter
+from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.sensors.wrench import BLOCK_NS, WrenchSensor
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -63,6 +63,13 @@ VACUUM_DELAY_NS = 100_000_000
 REPEATED_NS = 5_000_000_000
 """Interval of repeated alarms of a persisting fault, ns."""
 
+ONSET_NS = 35_000_000
+"""Time before the first pose in which a fall may begin, the period of a usual camera, ns."""
+
+MAX_ONSETS = 30
+"""Largest number of tested begins of a fall: 11 ms, by which the position errs by 16 mm after
+0.3 s, at most a third of the squared noise of a usual camera at the first two poses."""
+
 VERDICTS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'millimetres', 'covariance', 'repeated',
     'frame_id', 'not_held', 'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'gate',
@@ -74,12 +81,6 @@ MAX_GATED = 2
 
 CLEAN_NS = 500_000_000
 """Time without trouble after which estimates of camera, cup and package are kept, ns."""
-
-OF_CUP = frozenset(('leak', 'wear'))
-"""Causes after which the cup differs from its parameters."""
-
-MODEL_ROWS = np.array([*range(states.MASS, states.COM + 3), *CUP_ROWS])
-"""Rows of payload and cup that parameters state."""
 
 
 class Observer:
@@ -119,8 +120,6 @@ class Observer:
         self._vacuum: tuple[int, bool, float] | None = None  # stamp, whether it holds, and period
         self._held_ns = 0  # stamp of the last reading that holds
         self._of_signals: list[Alarm] = []
-        self._lost_cups: tuple[int, ...] = ()
-        self._is_proven = False  # whether the cup has carried a package without an alarm
 
     def _set_values(self, values: Values) -> None:
         self._values, self.sensor = values, PoseSensor(values)
@@ -134,11 +133,10 @@ class Observer:
         """Set a nominal model, its longest step (s), and the largest displacement of a lip (m)."""
         before, rows = getattr(self, '_correction', None), CAMERA_ROWS
         self._keep()
-        self._first_alarm = len(self.alarms)
         self._correction = Correction(self._values, self.sensor.marker, model, max_step, reach)
         if before is not None and before.nominal[0] == model[0]:
             rows += CUP_ROWS
-        self._watch = Watch(self._correction.weight, self.wrenches.lip(model[0][1]))
+        self._watch = Watch(self._correction.weight)
         self._begin_with(rows if before else ())
         gravity = model[2] if any(model[2]) else (0.0, 0.0, -1.0)
         self._support.use(t3.scale(-1.0 / t3.norm(gravity), gravity), sag(model))
@@ -160,13 +158,10 @@ class Observer:
     def _begin_with(self, kept: tuple[int, ...]) -> None:
         """Begin without a motion, with the kept rows of previous estimates."""
         correction = self._correction
-        lost_cups = self._lost_cups if states.MASS in kept else ()
         known = correction.initial
         if kept:
             known = known.with_rows(self._known, kept)
-        if correction.alarms is not None:
-            correction.alarms.is_cup_proven = self._is_proven and states.STIFFNESS in kept
-        self._known, self._lost_cups = known, lost_cups
+        self._known = known
         for each in (self._estimates, self._measurements, self._pending):
             each.clear()
         self._newest = None
@@ -174,16 +169,16 @@ class Observer:
         self._since_ns = self._gated = 0
         if states.MASS not in kept:
             self._first_of_package = len(self.alarms)
-        self._predict_with(known.theta, self._lost_cups)
+        self._predict_with(known.theta)
 
     def _predict_from(self, newest: Estimate) -> None:
         """Predict with the newest estimate."""
         self._newest = newest
-        self._predict_with(newest.theta, self._lost_cups)
+        self._predict_with(newest.theta)
 
-    def _predict_with(self, theta: Array, lost_cups: tuple[int, ...]) -> None:
-        """Predict with estimated parameters, without lost cups."""
-        self._theta, self._row = theta, self._correction.row(lost_cups)
+    def _predict_with(self, theta: Array) -> None:
+        """Predict with estimated parameters."""
+        self._theta = theta
         self.max_step = dynamics.stable_step(self._correction.max_step, theta)
         self._reach_ns = int(min(MAX_DELAY_NS, NS_PER_S * MAX_SUBSTEPS * self.max_step))
         self._model: ModelTuple | None = None
@@ -192,7 +187,8 @@ class Observer:
     def model(self) -> ModelTuple:
         """The model with the newest estimated parameters."""
         if self._model is None:
-            self._model = dynamics.model_at(self._row, self._correction.law, self._theta)
+            self._model = dynamics.model_at(
+                self._correction.row, self._correction.law, self._theta)
         return self._model
 
     @property
@@ -205,9 +201,9 @@ class Observer:
         return self._correction.with_noise_of_sample(self._newest)
 
     def _at(self, estimate: Estimate, stamp_ns: int) -> Estimate:
-        """Return an estimate at a later stamp, without evidence of faults."""
+        """Return an estimate at a later stamp."""
         return estimate if estimate.stamp_ns >= stamp_ns else self._correction.propagated(
-            estimate._replace(evidence=NO_EVIDENCE), self._track, stamp_ns)
+            estimate, self._track, stamp_ns)
 
     def covariance(self, stamp_ns: int) -> Array | None:
         """Return the covariance of the state (12, 12) at a stamp of the last 0.5 s, or None."""
@@ -228,11 +224,6 @@ class Observer:
             return None
         return payload_of(self._estimates[-1], self.model)
 
-    @property
-    def calibration(self) -> Calibration | None:
-        """The estimated errors of the camera, if any."""
-        return calibration_of(self._estimates[-1]) if self._estimates else None
-
     # ---------------------------------------------------------------- the tool
 
     def start(self, stamp_ns: int, tool: State, body: State, hung_ns: int = 0) -> None:
@@ -241,7 +232,7 @@ class Observer:
         self._measurements.clear()
         self._support.follow(stamp_ns, tool)
         self._estimates = [self._correction.start(
-            stamp_ns, tool, body, self._known, self._lost_cups, self._support.is_near)]
+            stamp_ns, tool, body, self._known, self._support.is_near)]
         if hung_ns:
             self._estimates[0] = self._correction.after_hanging(self._estimates[0], hung_ns)
         self.body, self._candidate, self._since_ns = body, self._estimates[0], stamp_ns
@@ -258,7 +249,7 @@ class Observer:
         track, correction = self._track, self._correction
         track.discard_before(self._estimates[0].stamp_ns)
         prediction: tuple[State, Wrench, bool] | None = ekf.followed(
-            self._row, correction.law, self._theta, self.body, track.samples,
+            correction.row, correction.law, self._theta, self.body, track.samples,
             stamp_ns, start, end, correction.max_step, correction.reach)
         assert prediction is not None
         self.body = prediction[0]
@@ -352,19 +343,21 @@ class Observer:
                 bool(self.counts['used']))
             after, verdict, alarm = self._correction.updated(
                 before, self._track, measurements[k], is_recorded and before is estimates[k],
-                support, self._has_vacuum(estimates[k], measurements[k].stamp_ns))
+                support)
             if k == first and verdict:
                 self.counts[verdict] += 1
             if verdict == 'recovered':
                 after = self._correction.rolled_back(after, self._known)
             self._note_trouble(after.stamp_ns, verdict, alarm)
+            estimates.append(after)
+            if verdict and self._may_fall(measurements[k].stamp_ns):
+                alarm = None  # the next poses decide between a fall and a deviation
             self._raise(alarm)
-            estimates.append(self._out_of_reach(after, measurements[k])
-                             if verdict == 'out_of_reach' else after)
+            if verdict == 'out_of_reach':
+                estimates[-1] = self._out_of_reach(after, measurements[k])
         for alarm in again:
             self._raise(alarm)
         last = self._correction.released(estimates[-1]) if self._has_left else estimates[-1]
-        self._lost_cups = last.lost_cups
         self._predict_from(last)
         self.body = self._correction.body_at_end(last, self._track)
 
@@ -380,22 +373,15 @@ class Observer:
         return ''
 
     def _watch_wrench(self, stamp_ns: int) -> None:
-        """Detect loss and slip in the newest wrench, away from supports."""
-        last, alarms = self._estimates[-1], self._correction.alarms
-        if (alarms is None or self._track.count < 2 or self._support.at(stamp_ns)
-                or self.wrenches.set_up.is_contradicted):
+        """Detect a loss in the newest wrench, away from supports."""
+        last = self._estimates[-1]
+        if (not self._correction.false_per_hour or self._track.count < 2
+                or self._support.at(stamp_ns) or self.wrenches.set_up.is_contradicted):
             self._watch.clear()
-            return
-        found = self._watch.add(stamp_ns, *self.wrenches.package_load(
-            self._correction, last, self._track, stamp_ns))
-        if found is None:
-            return
-        alarm = Alarm(stamp_ns, found.cause, found.size, found.std, 'disturbance', MAX_ODDS,
-                      ((found.size, found.std),), shown_by='wrench')
-        self._of_signals.append(alarm)
-        self._raise(alarm)
-        if found.cause == 'slip':
-            self._estimates[-1] = self._correction.slipped(last, found.size)
+        elif self._watch.is_lost(stamp_ns, *self.wrenches.package_load(
+                self._correction, last, self._track, stamp_ns)):
+            self._of_signals.append(Alarm(stamp_ns, LOST, shown_by='wrench'))
+            self._raise(self._of_signals[-1])
 
     # ---------------------------------------------------------- kept estimates
 
@@ -412,57 +398,73 @@ class Observer:
 
     def _commit(self, estimate: Estimate) -> None:
         """
-        Keep estimates of camera, cup and package; report a deviation of the cup.
+        Keep estimates of camera, cup and package.
 
-        After an alarm on the payload the estimate of the cup is not kept, because wear of the cup
-        resembles a wrong payload.
+        After an alarm on the package the estimate of the cup is not kept, because a worn cup
+        resembles a wrong package.
         """
-        correction = self._correction
-        is_wrong = any(
-            alarm.cause == 'payload' for alarm in self.alarms[self._first_of_package:])
-        if is_wrong:
-            estimate = correction.rolled_back(estimate, self._known, CUP_ROWS)
+        if any(each.kind == DIFFERS for each in self.alarms[self._first_of_package:]):
+            estimate = self._correction.rolled_back(estimate, self._known, CUP_ROWS)
         self._known = Known(estimate.theta, estimate.covariance, estimate.memory)
-        self._is_proven = True
-        if is_wrong or correction.alarms is None or any(
-                alarm.cause in OF_CUP for alarm in self.alarms[self._first_alarm:]):
-            return
-        rows = np.arange(states.STIFFNESS, states.STIFFNESS + 6)
-        excess = correction.excess(estimate, rows)
-        if excess.max() > 0.0:
-            worst = rows[excess.argmax()]
-            factor = math.exp(estimate.theta[worst - STATE])
-            self._raise(Alarm(
-                estimate.stamp_ns, 'wear', abs(factor - 1.0),
-                factor * float(math.sqrt(estimate.covariance[worst, worst])), 'payload', 1.0))
 
     @property
     def departs_from_file(self) -> bool:
-        """Whether estimates of cup or payload differ from their parameters more than allowed."""
-        return bool(self._estimates) and bool(
-            self._correction.excess(self._estimates[-1], MODEL_ROWS).max() > 0.0)
+        """Whether a parameter of the package differs from its estimate."""
+        return bool(self._estimates) and (
+            self._estimates[-1].evidence.differing >= alarms.DIFFERING)
 
     # ---------------------------------------------------------- a lost package
 
     def _out_of_reach(self, estimate: Estimate, measurement: Measurement) -> Estimate:
         """Process a pose out of reach; the package is lost after some time."""
-        stamp_ns, alarms = measurement.stamp_ns, self._correction.alarms
-        away_ns = estimate.away_ns
-        if alarms is None or away_ns < 0 or (estimate.support and not estimate.falls):
+        stamp_ns, away_ns = measurement.stamp_ns, estimate.away_ns
+        if away_ns < 0 or estimate.support:
             return estimate
         if away_ns == 0:
             if not self._is_of_package(estimate, measurement):
                 return estimate
             away_ns = min(estimate.gated_ns, default=stamp_ns)  # these were part of the fall
             estimate = estimate._replace(away_ns=away_ns)
-        is_held = self._is_held(estimate)
-        if stamp_ns - away_ns < (VACUUM_DELAY_NS if is_held else LOST_AFTER_NS):
+        if stamp_ns - away_ns < (VACUUM_DELAY_NS if self._is_held else LOST_AFTER_NS):
             return estimate
-        if any(alarm.cause == 'lost' and stamp_ns - alarm.stamp_ns < REPEATED_NS
-               for alarm in self.alarms):  # the fall was seen, so the vacuum does not matter
-            return estimate._replace(away_ns=-1)
-        self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
+        return self._judged_away(estimate, stamp_ns)
+
+    def _judged_away(self, estimate: Estimate, stamp_ns: int) -> Estimate:
+        """Raise the alarm on a package out of reach, which the vacuum may contradict."""
+        seen = estimate.evidence.seen
+        assert seen
+        self._raise(alarms.deviation(seen, seen.z, estimate.away_ns) if self._is_held
+                    else Alarm(stamp_ns, LOST, estimate.away_ns))
         return estimate._replace(away_ns=-1)
+
+    def _may_fall(self, stamp_ns: int) -> bool:
+        """Return whether a fall may explain the recent poses; raise an alarm if it is certain."""
+        last = self._estimates[-1].evidence.seen
+        assert last
+        allowed, had_vacuum = self._correction.false_per_hour, self._had_vacuum(stamp_ns)
+        if not allowed or last.z @ last.z <= OUTLIER_DISTANCE or (
+                self._estimates[-1].support and had_vacuum is not None):
+            return False
+        stamps: Stamps = np.asarray(self._track.rows[0])
+        bodies: Array = np.asarray(self._track.rows[3])
+        seen = [each for before, after in pairwise(self._estimates)
+                if (each := after.evidence.seen) is not before.evidence.seen and each
+                and each.stamp_ns > stamp_ns - alarms.MAX_FALL_NS]
+        end = self._track.after(stamp_ns)
+        first = max(self._track.after(seen[0].stamp_ns - ONSET_NS), 1)
+        every = max((end - first) // MAX_ONSETS, 1)
+        ratio = alarms.fall_ratio(
+            stamps[first:end:every].copy(), bodies[first:end:every].copy(),
+            np.array([each.stamp_ns for each in seen]),
+            np.array([[*each.body[0], *each.body[1]] for each in seen]),
+            np.array([each.z for each in seen]), np.array([each.whitener for each in seen]),
+            self._correction.nominal[2])
+        period = self._estimates[-1].memory[ekf.PERIOD]
+        least = alarms.fall_threshold(allowed, period) + (
+            math.log(alarms.VACUUM_ODDS) if had_vacuum else 0.0)  # which contradicts
+        if ratio > least:
+            self._raise(Alarm(stamp_ns, LOST, seen[0].stamp_ns))
+        return ratio > 0.5 * least
 
     def _is_of_package(self, estimate: Estimate, measurement: Measurement) -> bool:
         """
@@ -471,36 +473,31 @@ class Observer:
         A package that was never within reach may have fallen on the way of the tool, if the
         camera has shown packages before.
         """
-        evidence = estimate.evidence
-        if estimate.support or not evidence.from_start or evidence.onsets[0, :1].any():
+        if estimate.evidence.poses:
             return True
         bodies, k = self._track.rows[3], self._track.after(measurement.stamp_ns) - 1
-        return self.counts['used'] >= MIN_NOISE_COUNT and self._support.is_below_way(
+        return self.counts['used'] >= alarms.KNOWN_COUNT and self._support.is_below_way(
             measurement.position, row_state(bodies[k])[0])
 
     def _note_silence(self, stamp_ns: int) -> None:
         """Detect a camera without poses after the package has left its reach."""
-        alarms = self._correction.alarms
         last, last_ns = self._estimates[-1], self._last_ns[-1]
-        if alarms is None or stamp_ns - last_ns <= self._camera_silence_ns:
+        if stamp_ns - last_ns <= self._camera_silence_ns:
             return
-        is_held, away_ns = self._is_held(last), last.away_ns
-        is_wrong_pose = bool(is_held) and last_ns - away_ns < LOST_AFTER_NS
-        self._estimates[-1] = last._replace(away_ns=0 if is_wrong_pose else -1)
-        if not is_wrong_pose:
-            self._raise(alarms.lost(stamp_ns, is_held, reach=self._correction.holding_reach))
+        is_wrong_pose = bool(self._is_held) and last_ns - last.away_ns < LOST_AFTER_NS
+        self._estimates[-1] = last._replace(away_ns=0) if is_wrong_pose else (
+            self._judged_away(last, stamp_ns))
 
     @property
     def departs(self) -> bool:
         """
         Whether the last measured poses contradict a held package: out of reach, or outliers.
 
-        A support, which explains outliers, does not explain a fall out of reach.
+        A support explains outliers.
         """
         last = self._estimates[-1] if self._estimates else None
-        return last is not None and not self._has_left and (
-            last.falls and last.away_ns != 0 if self._support.is_near
-            else last.away_ns != 0 or len(last.gated_ns) > 1)
+        return last is not None and not last.support and (
+            last.away_ns != 0 or len(last.gated_ns) > 1)
 
     @property
     def patience_ns(self) -> int:
@@ -527,37 +524,36 @@ class Observer:
             before_ns, was_held, _ = self._vacuum or (0, not is_held, 0.0)
             self._vacuum = (
                 newest_ns, is_held, newest_ns - before_ns if is_held == was_held else math.inf)
-        if not (self._estimates and self._correction.alarms and breaks):
+        if not (self._estimates and breaks) or not (
+                moves or (cup < 0 and self._estimates[-1].away_ns != 0)):
             return
-        is_seen = self._estimates[-1].away_ns != 0
-        alarm = None
-        if cup < 0 and (moves or is_seen):
-            alarm = self._correction.alarms.lost(newest_ns, False, is_seen)
-        elif moves:
-            alarm = self._correction.alarms.without_vacuum(newest_ns, cup)
-        self._of_signals += [alarm] if alarm else []
-        self._raise(alarm)
+        alarm = Alarm(newest_ns, LOST, shown_by='vacuum')
+        places = [(x, y) for x, y, _, k in places_of(self._values).tolist() if k == cup]
+        if cup < 0 or places:
+            alarm = alarm._replace(cup=cup, place=places[0] if places else (0.0, 0.0))
+            self._of_signals.append(alarm)
+            self._raise(alarm)
 
-    def _is_held(self, estimate: Estimate) -> bool | None:
+    @property
+    def _is_held(self) -> bool | None:
         """
-        Return whether the vacuum holds by its last reading; None if unknown.
+        Whether the vacuum holds by its last reading; None if unknown.
 
-        A signal that repeats its value is periodic; when overdue it is treated as unknown. A
-        signal that holds during an observed fall is stuck.
+        A signal that repeats its value is periodic; when overdue it is treated as unknown.
         """
         stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
-        is_silent = self._track.newest_ns - stamp_ns > _silence_ns(period_ns)
-        return None if is_silent or (is_held and estimate.falls) else is_held
+        return None if self._track.newest_ns - stamp_ns > _silence_ns(period_ns) else is_held
 
-    def _has_vacuum(self, estimate: Estimate, stamp_ns: int) -> bool | None:
+    def _had_vacuum(self, stamp_ns: int) -> bool | None:
         """Return whether the vacuum held at a stamp, as `_is_held`, also if it broke later."""
-        is_held = self._is_held(estimate)
+        is_held = self._is_held
         return is_held if is_held is None else is_held or stamp_ns <= self._held_ns
 
     def _raise(self, alarm: Alarm | None) -> None:
-        """Store an alarm, if any, unless an equal one has just been raised."""
-        if alarm and all(other.cause != alarm.cause or alarm.stamp_ns - other.stamp_ns
-                         >= REPEATED_NS for other in self.alarms):
+        """Store an alarm, if any, unless an equal one has just been raised, or none is allowed."""
+        if alarm and self._correction.false_per_hour and all(
+                (other.kind, other.cup) != (alarm.kind, alarm.cup)
+                or alarm.stamp_ns - other.stamp_ns >= REPEATED_NS for other in self.alarms):
             self.alarms.append(alarm)
 
 

@@ -1,4 +1,4 @@
-"""Results of an estimate: the payload, and the errors of the camera."""
+"""Results of an estimate: the payload."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.pseudo_inertia import second_moments
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.filter import Estimate
-from bellows_ros.core.observer.states import STATE
 import numpy as np
 
 
@@ -27,17 +26,6 @@ class Payload(NamedTuple):
     """Standard deviations of the three moments of inertia, kg m^2."""
 
 
-class Calibration(NamedTuple):
-    """Errors of a camera, with standard deviations: shift (m), rotation (rad), latency (s)."""
-
-    shift: Array
-    shift_std: Array
-    turn: Array
-    turn_std: Array
-    latency: float
-    latency_std: float
-
-
 def payload_of(estimate: Estimate, model: ModelTuple) -> Payload:
     """Return the payload of an estimate, and of its model."""
     mass, com, inertia, _ = model[1]
@@ -48,12 +36,3 @@ def payload_of(estimate: Estimate, model: ModelTuple) -> Payload:
     return Payload(
         estimate.stamp_ns, mass, com, inertia, float(std[0] * mass), std[1:],
         np.hypot(std[0] * np.array(inertia[::4]), np.sqrt(own)))
-
-
-def calibration_of(estimate: Estimate) -> Calibration:
-    """Return the errors of the camera of an estimate."""
-    rows = slice(states.CAMERA, states.LATENCY + 1)
-    errors = estimate.theta[states.CAMERA - STATE:states.LATENCY + 1 - STATE]
-    std = np.sqrt(np.diag(estimate.covariance)[rows])
-    return Calibration(
-        errors[:3], std[:3], errors[3:6], std[3:6], float(errors[6]), float(std[6]))

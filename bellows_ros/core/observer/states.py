@@ -139,8 +139,6 @@ STATES = (
     State('WRENCH', 6, 'N, N m', MOTION, 100.0,
           lambda by: BIAS_SHARE * by.wrench * np.repeat([0.05, by.arm], 3),
           lambda by: BIAS_WALK * by.wrench * np.repeat([1.0, WALK_ARM], 3)),
-    State('LENGTH', 1, 'm', MOTION, 0.3, lambda by: 0.0),
-    State('LENGTHENING', 1, 'm/s', MOTION, 1.0, lambda by: 0.0),
     State('STIFFNESS', 6, 'log', CUP, math.log(100.0), lambda by: by.stiffness),
     State('DAMPING', 6, 'log', CUP, math.log(100.0), lambda by: by.damping),
     State('INERTIA', 3, 'log', PACKAGE, math.log(100.0),
@@ -162,8 +160,8 @@ FIRST = dict(zip((each.name for each in STATES), np.cumsum(
     [0, *(each.size for each in STATES)]).tolist(), strict=False))
 """First row of each state."""
 
-(SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH, LENGTH, LENGTHENING, STIFFNESS, DAMPING, INERTIA,
- MARKER, CAMERA, LATENCY, NOISE, ZERO, GAIN) = FIRST.values()
+(SHIFT, TURN, SPEED, SPIN, MASS, COM, WRENCH, STIFFNESS, DAMPING, INERTIA, MARKER, CAMERA,
+ LATENCY, NOISE, ZERO, GAIN) = FIRST.values()
 ROWS = sum(each.size for each in STATES)
 """Number of rows."""
 ROWS_WITHOUT_SENSOR = ZERO

@@ -32,9 +32,8 @@ from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.filter import Estimate, Moving, Samples
 from bellows_ros.core.observer.measurement import changed_by, GATE
-from bellows_ros.core.observer.states import COM, DAMPING, LENGTH, MARKER, ROWS, STATE, STIFFNESS
-from bellows_ros.core.observer.wrench_alarms import SetUp
-from bellows_ros.core.sensors.set_up import Still
+from bellows_ros.core.observer.states import COM, DAMPING, MARKER, ROWS, STATE, STIFFNESS
+from bellows_ros.core.sensors.set_up import COS_MIN_TILT, fault_of, Still
 from bellows_ros.core.sensors.wrench import (
     cup_load,
     gripper_regressors,
@@ -78,6 +77,18 @@ FIRST_FACTOR = 4.0
 PERSISTENCE = 100.0
 """Number of blocks over which errors proportional to the wrench persist: 6 s, a cycle."""
 
+LOST_SHARE = 0.35
+"""Largest measured fraction of the predicted force after the loss of a package."""
+
+LOSS_NS = 10_000_000
+"""Time for which the measured fraction must be smaller before a loss is reported, ns."""
+
+LEAST_LOAD = 0.5
+"""Smallest predicted force before a loss, and largest force after the loss, in weights."""
+
+KEPT_BLOCKS = 8
+"""Number of blocks at rest that are kept of each tilt."""
+
 Buffer = tuple[Any, Any]
 """Stamps (N,) and wrenches (N, 6) of a block, ns, N and N m."""
 
@@ -93,20 +104,8 @@ def _add_node(
     product = t3.product(L, T, np.empty((6, MARKER)))
     for i in range(6):
         for j in range(MARKER):
-            of_cup = COM <= j < COM + 3 or j == LENGTH or STIFFNESS <= j < DAMPING + 6
+            of_cup = COM <= j < COM + 3 or STIFFNESS <= j < DAMPING + 6
             H[i, j] += weight * (product[i, j] + (G[i, j] if of_cup else 0.0))
-
-
-@kernel
-def _advance_transition(T: Array, A: Array, B: Array, h: float) -> Array:
-    """Return a transition (12, m) after a time h (s): dT/dt = A T + [0; B], to third order."""
-    X, G = np.empty((STATE, STATE)), ekf.identity_plus(h / 3.0, A, np.empty((STATE, STATE)))
-    ekf.identity_plus(0.5 * h, t3.product(A, G, X), G)
-    forced = t3.product(np.ascontiguousarray(G[:, 6:]), B, np.empty((STATE, MARKER)))
-    F, out = ekf.identity_plus(h, t3.product(A, G, X), np.empty((STATE, STATE))), T.copy()
-    t3.product(F, T, out)
-    t3.add_array(forced, h, out)
-    return out
 
 
 @entry
@@ -120,17 +119,17 @@ def block(
     Further results are the tool at both ends. The wrenches are after the beginning.
     """
     now_ns, tool, body, theta = beginning
-    model = dynamics.model_at(row, law, theta)
+    nominal = kernels.model_of(row, law)
+    model = dynamics.with_theta(nominal, theta)
     bias, max_step = dynamics.wrench_bias(theta), dynamics.stable_step(max_step, theta)
     stamps, count = samples[0], samples[4]
     k, i, n, first, at_node = first_after(stamps, now_ns, count), 0, len(wrenches[0]), tool, now_ns
     load, pending = cup_load(model, tool, body, mount), 0
     H, mean = np.zeros((6, ROWS)), np.zeros(6)
-    A, B, T = np.zeros((STATE, STATE)), np.zeros((6, MARKER)), np.zeros((STATE, MARKER))
-    A1, B1, ratio = A.copy(), B.copy(), math.exp(theta[0])
-    for j in range(STATE):
-        T[j, j] = 1.0
-    dynamics.slopes(model, bias, ratio, tool, body, A, B)
+    A, B, T, Q = (np.zeros((STATE, STATE)), np.zeros((6, MARKER)), ekf.identity_transition(),
+                  np.zeros((STATE, STATE)))
+    A1, B1, still = A.copy(), B.copy(), Q.copy()
+    dynamics.slopes(nominal, theta, tool, body, A, B)
     while now_ns < until_ns and k < count:
         tool, end, later_ns = ekf.part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
         seconds = (later_ns - now_ns) / NS_PER_S
@@ -145,9 +144,8 @@ def block(
             i, pending = i + 1, pending + 1
         tool, now_ns, k = end, later_ns, k + (later_ns == stamps[k])
         if now_ns - at_node >= NODE_NS or now_ns == until_ns:
-            dynamics.slopes(model, bias, ratio, tool, body, A1, B1)
-            T = _advance_transition(
-                T, 0.5 * (A + A1), 0.5 * (B + B1), (now_ns - at_node) / NS_PER_S)
+            dynamics.slopes(nominal, theta, tool, body, A1, B1)
+            ekf.accumulate(A + A1, B + B1, (now_ns - at_node) / NS_PER_S, still, T, Q)
             _add_node(model, tool, body, mount, T, B1, pending / n, H)
             A, B, A1, B1, pending, at_node = A1, B1, A, B, 0, now_ns
     return mean, H, first, tool
@@ -168,11 +166,6 @@ class WrenchFilter:
         self._stamps, self._values = as_inputs(np.zeros(KEPT, np.int64), np.zeros((KEPT, 6)))
         self._count = 0
         self.set_up = SetUp(sensor)
-
-    def lip(self, length: float) -> Array:
-        """Return the position (3,) in the sensor of the lip of a cup with a length (m)."""
-        position, axes, _ = self.sensor.mount
-        return np.asarray(np.reshape(axes, (3, 3)).T @ np.subtract((0.0, 0.0, -length), position))
 
     def in_own_axes(self, tool: State, of_world: Vector) -> Vector:
         """Return a vector of the world in axes of the sensor."""
@@ -205,7 +198,7 @@ class WrenchFilter:
             return before
         used = self._stamps[first:last], self._values[first:last]
         mean, H, start, end = block(
-            correction.row(before.lost_cups), correction.law, before.moving,
+            correction.row, correction.law, before.moving,
             track.samples, used, until_ns, correction.max_step, self.sensor.mount)
         mean = mean + self._of_gripper(
             start, end, (until_ns - before.stamp_ns) / NS_PER_S, correction.nominal[2])
@@ -233,8 +226,7 @@ class WrenchFilter:
         j = max(track.after(stamps[k] - SMOOTH_NS) - 1, 0)
         body = body_row(bodies[k], estimate.body)
         before, now = row_state(ends[j]), row_state(ends[k])
-        model = dynamics.model_at(
-            correction.row(estimate.lost_cups), correction.law, estimate.theta)
+        model = dynamics.model_at(correction.row, correction.law, estimate.theta)
         other = self._of_gripper(
             before, now, (stamps[k] - stamps[j]) / NS_PER_S, correction.nominal[2])
         zero = _with_sensor(estimate, correction.prior).theta[states.ZERO - STATE:][:6]
@@ -272,28 +264,19 @@ class WrenchFilter:
         body, theta = changed_by(before.body, before.theta, gain.T @ z)
         if not dynamics.is_possible(body, theta, correction.largest):
             return before._replace(wrench_memory=tuple(memory.tolist()))
-        evidence = before.evidence
-        if len(evidence.signatures):
-            E = evidence.signatures.copy()
-            change = (gain.T @ np.linalg.solve(root, H)).astype(np.float32)
-            E[:-ekf.FALLEN] -= change @ E[:-ekf.FALLEN]
-            evidence = evidence._replace(signatures=E, from_start=False)
         return before._replace(
             body=body, theta=theta, covariance=P - W.T @ W + of_kept.T @ of_kept,
-            evidence=evidence, wrench_memory=tuple(memory.tolist()))
+            wrench_memory=tuple(memory.tolist()))
 
 
 def _with_sensor(estimate: Estimate, prior: Array) -> Estimate:
     """Return an estimate with bias and gain of the sensor, of prior standard deviations (n,)."""
-    n, E = len(estimate.covariance), estimate.evidence.signatures
+    n = len(estimate.covariance)
     if n == ROWS:
         return estimate
     P = np.diag(np.square(prior))
     P[:n, :n] = estimate.covariance
-    return estimate._replace(
-        theta=np.r_[estimate.theta, np.zeros(ROWS - n)], covariance=P,
-        evidence=estimate.evidence._replace(
-            signatures=np.insert(E, [n] * (ROWS - n), 0.0, axis=0)) if len(E) else ekf.NO_EVIDENCE)
+    return estimate._replace(theta=np.r_[estimate.theta, np.zeros(ROWS - n)], covariance=P)
 
 
 def _learned(memory: Array, z: Array, share: Array) -> Array:
@@ -305,3 +288,58 @@ def _learned(memory: Array, z: Array, share: Array) -> Array:
     """
     growth = ((z * z - 1.0) * share).reshape(2, 3).sum(axis=1) / LEARNING_COUNT
     return np.asarray(np.maximum(memory * np.exp(np.clip(growth, -0.5, 0.5)), 1.0))
+
+
+class Watch:
+    """
+    Detect a loss in successive loads of a package on a sensor, whose force disappears.
+
+    Parameters
+    ----------
+    weight : float
+        Weight of the package, N.
+
+    """
+
+    def __init__(self, weight: float) -> None:
+        self._weight = weight
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin with another package."""
+        self._since_ns = 0
+
+    def is_lost(self, stamp_ns: int, shown: Array, predicted: Array) -> bool:
+        """Return whether the package is lost by another load (6,), shown and predicted."""
+        force, f = shown[:3], predicted[:3]
+        square, usual = max(float(f @ f), 1e-9), (LEAST_LOAD * self._weight) ** 2
+        is_off = square > usual > force @ force and force @ f < LOST_SHARE * square
+        self._since_ns = (self._since_ns or stamp_ns) if is_off else 0
+        return bool(is_off) and stamp_ns - self._since_ns >= LOSS_NS
+
+
+class SetUp:
+    """
+    Check the set-up of a sensor by the weight of a held package, see `sensors.set_up`.
+
+    Attributes
+    ----------
+    is_contradicted, fault : bool, str
+        See `fault_of`.
+
+    """
+
+    def __init__(self, sensor: WrenchSensor) -> None:
+        self._sensor = sensor
+        self._still: list[Still] = []
+        self.is_contradicted, self.fault = False, ''
+
+    def add(self, now: Still, weight: float) -> None:
+        """Check the mean reading of another block at rest; the oldest of its tilt is dropped."""
+        alike = [k for k, each in enumerate(self._still)
+                 if each.R_world_sensor[2] @ now.R_world_sensor[2] > COS_MIN_TILT]
+        if len(alike) >= KEPT_BLOCKS:
+            del self._still[alike[0]]
+        self._still.append(now)
+        self.is_contradicted, self.fault = fault_of(
+            Still(*map(np.array, zip(*self._still, strict=True))), self._sensor, weight)

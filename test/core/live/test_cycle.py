@@ -62,7 +62,7 @@ class Cell:
 
     @property
     def causes(self):
-        return [alarm.cause for alarm in self.live.alarms]
+        return [alarm.kind for alarm in self.live.alarms]
 
 
 @pytest.mark.parametrize('with_camera', [True, False])
@@ -76,7 +76,7 @@ def test_vacuum_that_ends_with_the_valve_on_is_a_loss_at_any_speed(with_camera, 
     cell.vacuum(False)
     assert (cell.live.state, cell.causes, cell.live.is_ok) == ('lost', ['lost'], False)
     cell.go(6.0)
-    assert cell.live.alarm.cause == 'lost'  # until the next package
+    assert cell.live.alarm.kind == 'lost'  # until the next package
     cell.valve(False)
     cell.pick(with_valve=True)
     assert cell.live.alarm is None

@@ -108,12 +108,12 @@ def truth(tool, package=PACKAGE, cup=CUP, start=None, change=None, period_ns=PER
 
 def later(state, theta, start, end, seconds):
     """Return a later state for given model parameters, with the wrench as many small impulses."""
-    t = np.zeros(27)
-    t[:len(theta)] = theta[:27]
+    t = np.zeros(25)
+    t[:len(theta)] = theta[:25]
     K, P, S = (np.diag(np.exp(0.5 * s)) @ M @ np.diag(np.exp(0.5 * s)) for M, s in (
-        (CUP.stiffness, t[12:18]), (CUP.damping, t[18:24]),
-        (0.5 * np.trace(PACKAGE.inertia) * np.eye(3) - PACKAGE.inertia, t[24:])))
-    cup, grown = Cup(K, P, CUP.length + t[10]), np.exp(t[0])
+        (CUP.stiffness, t[10:16]), (CUP.damping, t[16:22]),
+        (0.5 * np.trace(PACKAGE.inertia) * np.eye(3) - PACKAGE.inertia, t[22:])))
+    cup, grown = Cup(K, P, CUP.length), np.exp(t[0])
     package = Package(
         PACKAGE.mass * grown, grown * (np.trace(S) * np.eye(3) - S), PACKAGE.com + t[1:4])
     model = model_tuple(cup, package, 9.81)

@@ -14,7 +14,6 @@ import numpy as np
 
 from .cases import (
     CUP,
-    error_of,
     NOISE,
     observer,
     PACKAGE,
@@ -268,30 +267,8 @@ class Cell:
                 made.update(seen)
             if after is not None:
                 after(k)
-        return [(alarm.cause, (alarm.stamp_ns - int(self.stamps[0])) * 1e-9 - self.at)
+        return [(alarm.kind, (alarm.stamp_ns - int(self.stamps[0])) * 1e-9 - self.at)
                 for alarm in made.alarms]
-
-
-def errors_around_slips(seeds, wrong, lasts=0.0, **more):
-    """
-    Simulate slips of packages by 3 to 10 mm within a time (s), after 4 s.
-
-    Gives how many first alarms are right, and the RMS errors of position (m) and rotation (rad)
-    in each half second, (14, 2).
-    """
-    errors, right = [], 0
-    for seed in seeds:
-        size = np.random.default_rng([seed, 1]).uniform(1.0, 10.0 / 3.0)
-        cell = Cell(seed, 7.0, wrong, 'slip', 4.0, size=size, lasts=lasts, **more)
-        of_cell = [np.zeros(6)]
-        found = cell.run(lambda k, cell=cell, to=of_cell: to.append(
-            error_of(cell.made.body, cell.body[k])[:6]))
-        right += [cause for cause, _ in found][:1] == ['slip']
-        errors.append(of_cell)
-    ends = np.ceil(np.arange(0.5, 7.0, 0.5) / (PERIOD_NS * 1e-9)).astype(int)
-    parts = np.split(np.square(errors), ends, axis=1)
-    return right, np.array([np.sqrt(3.0 * np.mean(
-        part.reshape(len(errors), -1, 2, 3), axis=(0, 1, 3))) for part in parts])
 
 
 def _from_elsewhere(pose, shift, turn, pivot):

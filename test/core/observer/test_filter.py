@@ -13,31 +13,31 @@ from bellows_ros.core.model.equilibrium import (
     pose_error,
     static_equilibrium,
 )
-from bellows_ros.core.model.kernels import advance, model_row
+from bellows_ros.core.model.kernels import law_of, model_row
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.correction import cups_of, first_memory, NO_CUPS
+from bellows_ros.core.observer.correction import first_memory
 from bellows_ros.core.observer.measurement import (
+    filter_step,
     innovation_of,
     MeasuredPose,
+    observation,
     posterior,
-    updated,
     WHITE_SHARE,
 )
 from bellows_ros.core.observer.states import LARGEST
 import numpy as np
 import pytest
 
-from .cases import CUP, error_of, later, PACKAGE, tool_motion, truth, with_noise
+from .cases import CUP, error_of, later, PACKAGE, tool_motion, with_noise
 from .cases import NOISE as NOISE_STD
-from .cell import gripper_of, HEAVY, LAYOUT
 
 SIZES = np.repeat(
-    [0.003, 0.02, 0.05, 0.2, 0.05, 0.004, 0.3, 0.01, 0.002, 0.01, 0.1, 0.1, 0.02, 0.002, 0.02,
-     0.002, 0.02, 0.005, 1.0, 0.3, 0.01],
-    [3, 3, 3, 3, 1, 3, 3, 3, 1, 1, 6, 6, 3, 3, 3, 3, 3, 1, 6, 6, 1])
+    [0.003, 0.02, 0.05, 0.2, 0.05, 0.004, 0.3, 0.01, 0.1, 0.1, 0.02, 0.002, 0.02, 0.002, 0.02,
+     0.005, 1.0, 0.3, 0.01],
+    [3, 3, 3, 3, 1, 3, 3, 3, 6, 6, 3, 3, 3, 3, 3, 1, 6, 6, 1])
 OF_MOTION = range(states.MARKER)
-MEMORY, NO_LOSSES = first_memory(), np.zeros((0, 12, 13))
+MEMORY = first_memory()
 MEMORY[3:5] = 0.5 * MEMORY[1:3]
 MEMORY[ekf.SHARE] = 0.0
 NO_DRIVE = np.zeros((3, 12, 12))
@@ -52,7 +52,7 @@ def test_errors_of_a_tag_persist_in_a_view():
     """Keep them at rest for any time with the noise of a robot's poses; not over a centimetre."""
     rng, still = np.random.default_rng(1), tool_motion(np.random.default_rng(1), 0.01)[1][0]
     bodies = [with_noise(rng, still, np.repeat([2e-5, 5e-5], 3)) for _ in range(31)]
-    T, known = np.zeros((13, states.MARKER)), np.zeros((states.ROWS, states.ROWS))
+    T, known = np.zeros((12, states.MARKER)), np.zeros((states.ROWS, states.ROWS))
     T[:12, :12] = np.eye(12)
     T[:6, 6:12] = 0.03 * np.eye(6)
     kept = [ekf.correlation_of_view(*pair, known, T)
@@ -73,15 +73,14 @@ def test_transition_is_that_by_differences(is_off):
     stamps, tool = tool_motion(rng, 0.3, period_ns=1_000_000)
     model, h = model_tuple(CUP, PACKAGE, 9.81), 1e-3
     theta = rng.normal(size=states.ROWS - 12) * SIZES[12:] * 0.5 * is_off
-    theta[states.LENGTHENING - 12] = 0.0
     start, end = tool[250:252]
     body = moved_by(static_equilibrium(model, start), rng.normal(size=12) * 0.01)
     drive = dynamics.driving(model, start, body, np.repeat([1e-4, 5e-4], 3))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
     T, Q = ekf.identity_transition(), np.zeros((12, 12))
     _, found = ekf.propagated(
-        model, (stamps[250], start, body, theta), (T, Q, NO_LOSSES), (stamps[250:252], *rows, 2),
-        False, stamps[251], largest_step(model), drive, 0.0, NO_CUPS)
+        model, (stamps[250], start, body, theta), T, Q, (stamps[250:252], *rows, 2),
+        False, stamps[251], largest_step(model), drive, 0.0)
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(error_of(middle, found), 0.0, atol=2e-6)
     F, memory, step = np.eye(states.ROWS), MEMORY, 1e-4
@@ -93,13 +92,11 @@ def test_transition_is_that_by_differences(is_off):
             ends.append(later(moved_by(body, by[:12]), theta + by[12:], start, end, h))
         F[:12, row] = (error_of(middle, ends[0]) - error_of(middle, ends[1])) / (
             2 * step * SIZES[row])
-    F[:12, states.LENGTHENING] = F[:12, states.LENGTH] * h / 2
-    F[states.LENGTH, states.LENGTHENING] = h
     noise = range(states.NOISE, states.NOISE + 6)
     F[noise, noise] = kept = 0.5 ** (h / memory[0])
     scale = SIZES[None] / SIZES[:, None]
     np.testing.assert_allclose(
-        T[:12] * scale[:12, OF_MOTION], (F * scale)[:12, OF_MOTION], atol=5e-4)
+        T * scale[:12, OF_MOTION], (F * scale)[:12, OF_MOTION], atol=5e-4)
     P, walk = np.diag(SIZES**2), np.arange(12.0) * 1e-4
     of_rows = np.zeros(states.ROWS)
     half = np.zeros((states.ROWS, states.ROWS))
@@ -109,7 +106,7 @@ def test_transition_is_that_by_differences(is_off):
     half[:12, :12] = h * h / 2 * drive[0]
     dense = F @ (P + half) @ F.T + half
     dense[noise, noise] += 1.0 - kept**2
-    own = ekf.propagated_covariance(P, T, Q, of_rows, ekf.correlations(memory, h))
+    own = ekf.propagated_covariance(P, T, Q, h, of_rows, ekf.correlations(memory, h))
     np.testing.assert_allclose(
         own / np.outer(SIZES, SIZES), dense / np.outer(SIZES, SIZES), atol=1e-3)
 
@@ -125,41 +122,10 @@ def test_transition_of_a_cup_that_is_much_stiffer_is_stable(row):
             for states in ([tool[0], *tool[:-1]], tool, tool)]
     T = ekf.identity_transition()
     ekf.propagated(
-        model, (stamps[0], tool[0], body, theta), (T, np.zeros((12, 12)), NO_LOSSES),
+        model, (stamps[0], tool[0], body, theta), T, np.zeros((12, 12)),
         (stamps, *rows, len(stamps)), False, stamps[-1], largest_step(model), NO_DRIVE,
-        0.0, NO_CUPS)
+        0.0)
     assert np.abs(np.linalg.eigvals(T[:12, :12])).max() < 1.0
-
-
-def test_transition_without_a_cup_is_that_of_the_others():
-    """Carry an error for 10 ms as a package goes on that one cup of a gripper lets go."""
-    rng = np.random.default_rng(3)
-    stamps, tool = tool_motion(rng, 0.3, period_ns=1_000_000)
-    places = np.column_stack([LAYOUT, range(4)])
-    model = model_tuple(gripper_of(CUP), HEAVY, 9.81)
-    cups, first, last = cups_of(model, places), 230, 240
-    start = truth(tool[:first + 1], HEAVY, gripper_of(CUP), period_ns=1_000_000)[-1]
-    e = rng.normal(size=12) * SIZES[:12] * 0.02
-    rows = [np.array([[*o, *q, *v, *w] for o, q, v, w in tool[a:b]])
-            for a, b in ((first - 1, last), (first, last + 1))]
-    losses = np.tile(np.eye(12, 13), (4, 1, 1))
-    _, found = ekf.propagated(
-        model, (stamps[first], tool[first], start, np.zeros(states.ROWS - 12)),
-        (ekf.identity_transition(), np.zeros((12, 12)), losses),
-        (stamps[first:last + 1], *rows, rows[0].copy(), last + 1 - first), False, stamps[last],
-        largest_step(model), NO_DRIVE, 0.0, cups)
-    for lost in range(4):
-        others = model_tuple(gripper_of(CUP, np.delete(LAYOUT, lost, axis=0)), HEAVY, 9.81)
-        body = moved_by(start, e)
-        for k in range(first, last):
-            body = advance(others, body, tool[k], tool[k + 1], 1e-3, 8)
-        made = error_of(found, body)
-        made_here = losses[lost, :, :12] @ e + losses[lost, :, 12]
-        np.testing.assert_allclose(
-            made_here / SIZES[:12], made / SIZES[:12], atol=0.01 * np.abs(made / SIZES[:12]).max())
-        np.testing.assert_allclose(
-            np.subtract(model_row(model)[2:29], cups[lost][:27]), model_row(others)[2:29],
-            atol=1e-9)
 
 
 @pytest.mark.parametrize(('of_lip', 'sensor'), [(False, BODY), (True, BODY), (False, TAG)])
@@ -188,10 +154,14 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
         return tuple((seen[0] + shift).tolist()), quaternion_product(turn, seen[1])
 
     def seen(e):
-        z, H, W, *_ = updated(
-            model, (0, tool[60], body, none, P.copy(), MEMORY), 0.03,
+        step = filter_step(
+            model_row(model), law_of(model), (0, tool[60], body, none, P.copy(), MEMORY),
+            (np.zeros(1, int), *np.zeros((3, 1, 25)), 1), False, 0, 1.0,
+            (NO_DRIVE, np.zeros(states.ROWS), False),
             MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, 0.0, np.inf),
-            np.zeros((12, 12)), False)[2]
+            False, False)
+        z, W = step.z, step.whitener
+        H = observation(states.ROWS, step.exposed, np.diag(NOISE_STD**2), of_lip, WHITE_SHARE)
         root = np.linalg.inv(W)
         return root @ z, H, root
 
@@ -224,13 +194,13 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     T, Q = ekf.identity_transition(), np.zeros((12, 12))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
     ekf.propagated(
-        model, (0, tool, body, theta), (T, Q, NO_LOSSES), (np.array([0, 1_000_000]), *rows, 2),
-        False, 1_000_000, 1.0, NO_DRIVE, 0.0, NO_CUPS)
+        model, (0, tool, body, theta), T, Q, (np.array([0, 1_000_000]), *rows, 2),
+        False, 1_000_000, 1.0, NO_DRIVE, 0.0)
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     walk = np.full(states.ROWS, 1e-12)
     for k in range(updates):
-        P = ekf.propagated_covariance(P, T, Q, walk, ekf.correlations(MEMORY, 1e-3))
+        P = ekf.propagated_covariance(P, T, Q, 1e-3, walk, ekf.correlations(MEMORY, 1e-3))
         scale, *pose = seen[37 * k % len(seen)]
         noise, difference = np.diag(NOISE_STD**2) * scale, np.ravel(pose_error(own, *pose))
         found = innovation_of(

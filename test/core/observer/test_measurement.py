@@ -2,7 +2,6 @@
 
 from bellows_ros.core.model.equilibrium import moved_by
 from bellows_ros.core.observer.filter import JITTER
-from bellows_ros.core.observer.measurement import _is_beyond, SPREAD
 import numpy as np
 import pytest
 
@@ -38,19 +37,3 @@ def test_stamp_off_by_some_ms_is_usual_from_the_first_motion_on(late, verdict):
     follow(made, stamps[:k + 1], tool[:k + 1], body[0], at_once(stamps, poses))
     assert made.counts['used'] == 2 + (verdict == 'used')
     assert made.counts['gate'] == (verdict == 'gate')
-
-
-def test_noise_of_the_depth_hides_no_displacement_across():
-    """Compare with the distance from each place within reach, in standard deviations."""
-    rng, reach, found = np.random.default_rng(1), 0.06, []
-    places = rng.normal(size=(2000, 3))
-    places *= reach / np.linalg.norm(places, axis=1)[:, None]
-    for _ in range(200):
-        noise, axes = np.zeros((6, 6)), np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        noise[:3, :3] = axes @ np.diag([5e-3, 5e-3, 7e-2]) ** 2 @ axes.T
-        away = 0.3 * rng.normal(size=3)
-        off = np.linalg.norm(np.linalg.solve(
-            np.linalg.cholesky(noise[:3, :3]), (away - places).T), axis=0)
-        found.append((_is_beyond(tuple(away), (0.0, 0.0, 0.05), noise, reach), off.min() > SPREAD))
-    beyond, truly = np.transpose(found)
-    assert not (beyond & ~truly).any() and 0.9 * truly.sum() <= beyond.sum() < 200
