@@ -170,7 +170,7 @@ class Planning:
         self._require_frame(message.frame_id)
         self._pipeline.node.note_frame(
             message.frame_id, 'tool_arm/plan', 'its frame is that of the tool poses')
-        plan = plan_of(message.times_ns, message.poses, message.twists, message.accelerations,
+        plan = plan_of(message.times_ns, message.poses, message.twists,
                        values.tool_twist.frame)
         motion = plan if isinstance(plan, Trajectory) else plan.trajectory()
         tip = tip_of(values)

@@ -466,7 +466,7 @@ def _source_of_plan(
         arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(conversion.tip_of(values))
         tool, joints = plan_of_joints(arm, read.names, stamps, *read[4:])
         return Source(tool, arm.root, joints=joints)
-    tool = plan_of(stamps, read.poses, read.twists, read.accelerations,
+    tool = plan_of(stamps, read.poses, read.twists,
                    values.tool_twist.frame).trajectory()
     return Source(at_tip(tool, conversion.tip_of(values)), read.frame_id)
 

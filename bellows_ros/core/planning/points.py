@@ -37,17 +37,13 @@ JUMP_TOLERANCE = (1e-3, 1e-2)
 
 MAX_MISFIT = 0.5
 """Largest RMS deviation of the integrated rates from the steps, relative to the steps."""
-MISREADINGS = (
-    ('have the opposite sign', -1.0), ('are too large by 1000: in mm', 1e-3),
-    ('are too small by 1000: in km, or of times in ms', 1e3),
-    ('are in degrees', math.pi / 180.0))
-"""Possible misreadings of rates, and the factors that correct them."""
+MIN_JUDGED = 20
+"""Number of points from which the integrated rates are compared: fewer may hide the motion."""
 
 
 def plan_of(
     stamps_ns: Stamps, poses: Array, twist: Array | None = None,
-    acceleration: Array | None = None, twist_frame: str = 'world', name: str = 'The plan',
-    given: bool = True,
+    twist_frame: str = 'world', name: str = 'The plan', given: bool = True,
 ) -> ToolRows:
     """
     Check the points of a plan; return it with body twists and without long gaps.
@@ -58,12 +54,11 @@ def plan_of(
         Stamps, ns.
     poses : array (N, 7)
         Position (m) and quaternion xyzw of E in the world.
-    twist, acceleration : array (N, 6), optional
-        Velocity of the tool tip and angular velocity (m/s, rad/s), and their rates of change.
-        Without twists, these are from a cubic spline from rest to rest. With accelerations the
-        tool moves along quintic polynomials between points, otherwise along cubic ones.
+    twist : array (N, 6), optional
+        Velocity of the tool tip and angular velocity (m/s, rad/s); by default from a cubic spline
+        from rest to rest. The tool moves along cubic polynomials between points.
     twist_frame : {'world', 'tool'}
-        Axes of twists and accelerations.
+        Axes of the twists.
     name : str
         Name of the plan for messages.
     given : bool
@@ -77,7 +72,7 @@ def plan_of(
         velocities.
 
     """
-    _require_points(stamps_ns, (poses, twist, acceleration), name)
+    _require_points(stamps_ns, (poses, twist), name)
     length = np.linalg.norm(poses[:, 3:], axis=1)
     _refuse(np.abs(length - 1.0) > UNIT_TOLERANCE, name,
             'has a quaternion that is not of unit length', f'length 1 to {UNIT_TOLERANCE:g}',
@@ -97,41 +92,15 @@ def plan_of(
             t, np.hstack([poses[:, :3], continuous]), bc_type='clamped')
         body = body_twists(continuous, curve(t, 1))[1]
     else:
-        body, other = np.hstack([v, w]), R if twist_frame == 'world' else np.swapaxes(R, -1, -2)
+        body = np.hstack([v, w])
         if given:
-            require_consistent(np.diff(t), step, lie.apply(R, v), f'{name}: its velocities',
-                               lie.apply(R, lie.apply(other, v)))
-            require_consistent(
-                np.diff(t), rotation, w, f'{name}: its angular velocities', lie.apply(other, w))
-    if twist is not None and acceleration is not None:
-        acceleration = _checked_acceleration(
-            t, (R, v, w), acceleration, twist_frame == 'tool', name)
+            require_consistent(np.diff(t), step, lie.apply(R, v), f'{name}: its velocities')
+            require_consistent(np.diff(t), rotation, w, f'{name}: its angular velocities')
     plan = ToolRows(stamps_ns, np.hstack([poses[:, :3], q, body]))
     fine_ns = _without_gaps(stamps_ns)
     if len(fine_ns) == len(stamps_ns):
         return plan
-    return ToolRows(fine_ns, tool_rows(_refined(plan.trajectory(), fine_ns, acceleration)))
-
-
-def _checked_acceleration(
-    t: Array, motion: tuple[Array, Array, Array], acceleration: Array, in_tool: bool, name: str
-) -> Array:
-    """
-    Return accelerations (N, 6) with the linear ones in the world, the angular ones in tool axes.
-
-    They must be the rates of the rotations and body velocities of the motion at the times (s).
-    """
-    R, v, w = motion
-    linear, angular = np.hsplit(acceleration, 2)
-    if in_tool:  # d/dt R v = R (dv/dt + w x v)
-        linear = lie.apply(R, linear + np.cross(w, v))
-    else:
-        angular = lie.apply(np.swapaxes(R, -1, -2), angular)
-    require_consistent(np.diff(t), np.diff(lie.apply(R, v), axis=0), linear,
-                       f'{name}: its accelerations')
-    require_consistent(np.diff(t), np.diff(w, axis=0), angular,
-                       f'{name}: its angular accelerations')
-    return np.hstack([linear, angular])
+    return ToolRows(fine_ns, tool_rows(resample(plan.trajectory(), fine_ns)))
 
 
 def plan_of_joints(
@@ -226,24 +195,6 @@ def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:
     return rotation, np.hstack([lie.apply(np.swapaxes(rotation, -1, -2), rate[:, :3]), angular])
 
 
-def _refined(plan: Trajectory, stamps: Stamps, acceleration: Array | None) -> Trajectory:
-    """
-    Return a plan at its stamps and additional ones, ns.
-
-    Additional points lie on quintic polynomials if accelerations (N, 6) are given: of the tool tip
-    in world axes, and of the rotation in tool axes. Without accelerations they lie on cubic
-    polynomials.
-    """
-    if acceleration is None:
-        return resample(plan, stamps)
-    path, rate = _path(plan)
-    q, squared = path[:, 3:], np.sum(np.asarray(plan.twist)[:, 3:] ** 2, axis=1)[:, None]
-    bend = np.hstack([acceleration[:, :3], _spin(q, acceleration[:, 3:]) - 0.25 * squared * q])
-    curve, at = quintic(plan.seconds, path, rate, bend), (stamps - stamps[0]) / NS_PER_S
-    value = curve(at)
-    return Trajectory(stamps, value[:, :3], *body_twists(value[:, 3:], curve(at, 1)))
-
-
 def quintic(t: Array, value: Array, rate: Array, bend: Array) -> Any:
     """Return quintic polynomials between times (N,) with given values and derivatives (N, M)."""
     h = np.diff(t)[:, None]
@@ -323,59 +274,25 @@ def _require_reachable(
             f'at most {MAX_TOOL_SPEED:g} m/s and {MAX_TOOL_RATE:g} rad/s', 'Check the units.')
 
 
-def require_consistent(
-    durations: Array, steps: Array, rates: Array, what: str, in_other_axes: Array | None = None
-) -> None:
+def require_consistent(durations: Array, steps: Array, rates: Array, what: str) -> None:
     """
-    Raise for rates whose integral differs from the steps between points.
+    Raise for rates (N, K) that contradict the steps (N - 1, K) between points.
 
-    Parameters
-    ----------
-    durations : array (N - 1,)
-        Durations between points, s.
-    steps : array (N - 1, K)
-        Steps of poses or of rates between points.
-    rates : array (N, K)
-        Rates of the poses, or derivatives of the rates, at the points.
-    what : str
-        Name of the rates, for messages.
-    in_other_axes : array (N, K), optional
-        Rates converted with the other tool_twist.frame.
-
-    Raises
-    ------
-    BellowsError
-        If another sign, unit or frame of the rates explains the steps better, if all rates are
-        zero during a motion, or many points have inconsistent rates.
-
+    The integral of the rates by trapezoids over the durations (s) must be near the steps; of few
+    points it must not have the opposite direction.
     """
-    def misfit(of: Array) -> float:
-        errors = 0.5 * (of[1:] + of[:-1]) * durations[:, None] - steps
-        # white noise of recorded poses: successive steps have opposite parts
-        noise = -2.0 * float(np.mean(errors[1:] * errors[:-1])) if len(of) >= 20 else 0.0
-        return math.sqrt(max(float(np.mean(errors**2)) - max(noise, 0.0), 0.0))
-
-    size, given = float(np.sqrt(np.mean(steps**2))), misfit(rates)
-    if given <= MAX_MISFIT * size + JUMP_TOLERANCE[0] * float(np.median(durations)):
-        return
-    lengths = np.linalg.norm(steps, axis=1)
-    goes_on = (np.sum(steps[1:] * steps[:-1], axis=1) > 0.5 * lengths[1:] * lengths[:-1]) & (
-        lengths[1:] * lengths[:-1] > 0.0)
-    # too few points may hide the motion
-    reason = 'are of another motion' if len(rates) >= 20 else ''
-    if goes_on.any() and not rates[1:-1][goes_on].any():
-        reason = 'are zero where the motion goes on'
-    readings = [(text, misfit(factor * rates)) for text, factor in MISREADINGS]
-    if in_other_axes is not None:
-        readings.append(('are in the axes of the other tool_twist.frame', misfit(in_other_axes)))
-    text, left = min(readings, key=lambda reading: reading[1])
-    if left <= MAX_MISFIT * size and left < MAX_MISFIT * given:
-        reason = text
-    if reason:
+    moves = 0.5 * (rates[1:] + rates[:-1]) * durations[:, None]
+    errors, size = moves - steps, float(np.sqrt(np.mean(steps**2)))
+    # white noise of recorded poses: successive steps have opposite parts
+    noise = max(-2.0 * float(np.mean(errors[1:] * errors[:-1])), 0.0) if len(errors) > 1 else 0.0
+    misfit = math.sqrt(max(float(np.mean(errors**2)) - noise, 0.0))
+    allowed = MAX_MISFIT * size + JUMP_TOLERANCE[0] * float(np.median(durations))
+    judged = misfit > allowed if len(rates) >= MIN_JUDGED else np.sum(moves * steps) < 0.0
+    if judged:
         raise BellowsError(
-            f'{what} {reason}: integrated between the points they deviate by {given:.3g} from '
-            f'steps of {size:.3g} (RMS, SI units); expected the same motion. Correct them or '
-            'their times, set tool_twist.frame (world or tool), or leave them out.')
+            f'{what} contradict the points: integrated they deviate by {misfit:.3g} from steps of '
+            f'{size:.3g} (RMS, SI units); expected the same motion. Check their signs, units, '
+            'times and axes (tool_twist.frame: world or tool), or leave them out.')
 
 
 MIN_GAIN = 0.01
