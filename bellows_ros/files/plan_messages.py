@@ -149,23 +149,18 @@ def _text(text: str) -> bytes:
 
 def require_frame(frame_id: str, values: Values) -> None:
     """
-    Raise for a plan in a frame other than plan.frame, or in a frame that moves with the tool.
+    Raise for a plan in a frame that moves with the tool.
 
     Raises
     ------
     BellowsError
-        If plan.frame has another name, or the frame is of the tool, the lip or the package.
+        If the frame is of the tool, the lip or the package.
 
     """
-    wanted = values.plan.frame
     if frame_id in (values.frames.tool, values.frames.lip, values.frames.package):
         raise BellowsError(
             f"The plan is in frame '{shown(frame_id)}', which moves; expected one in which "
             "gravity keeps its direction, such as the arm's base. Transform the plan.")
-    if wanted and frame_id not in ('', wanted):
-        raise BellowsError(
-            f"The plan is in frame '{shown(frame_id)}'; expected plan.frame, '{wanted}'. "
-            'Transform the plan, or set plan.frame.')
 
 
 def plan_message(

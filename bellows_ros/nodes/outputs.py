@@ -180,7 +180,7 @@ class Outputs:
 
     def __init__(self, shared: Predicting) -> None:
         """Compile all messages, then advertise all topics."""
-        self._shared, node, values = shared, shared.node, shared.values
+        self._shared, node = shared, shared.node
         self.use_values()
         self.pose = Topic(geometry.PoseStamped, 'package/pose', self._make_pose)
         self._twist = Topic(geometry.TwistStamped, 'package/twist', lambda now: pack(
@@ -198,9 +198,9 @@ class Outputs:
         self._state = Topic(String, 'package/state', qos=LATCHED)
         self._ok = Topic(Bool, 'package/ok', qos=LATCHED)
         self._tf: Topic | None = None
-        if values.frames.tf and importlib.util.find_spec('tf2_msgs') is None:
+        if importlib.util.find_spec('tf2_msgs') is None:
             node.get_logger().info('tf2_msgs is not installed: the package is not sent to tf.')
-        elif values.frames.tf:
+        else:
             from tf2_msgs.msg import TFMessage
 
             self._tf = Topic(TFMessage, '/tf', lambda now: pack(
@@ -251,8 +251,7 @@ class Outputs:
         self._is_late = 0 <= self._extrapolated_ns - stamp_ns < 1_000_000_000  # of one clock
         if not self._is_late:
             self._extrapolated_ns = stamp_ns if prediction.coasting else -1
-        self._is_due = not (
-            self._is_late if self._shared.values.coast.poses else prediction.coasting)
+        self._is_due = not prediction.coasting
         if self._is_due:
             self.pose.publish(self._make_pose(prediction))
 

@@ -180,12 +180,6 @@ def test_corners_without_their_messages_or_the_size_of_the_tag_are_refused(make_
             make_predictor({**PACKAGE, 'measured.type': 'detections', 'measured.tag_size': size})
 
 
-def test_tf_can_be_published_by_another_node(make_predictor, tf2_msgs):
-    """Advertise no /tf where frames.tf says so."""
-    node = make_predictor({**PACKAGE, 'frames.tf': False})
-    assert '/tf' not in {publisher.topic_name for publisher in node.publishers}
-
-
 @pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is not None, reason='tf2_msgs is here')
 def test_missing_tf_is_reported_for_a_tool_by_tf_only(make_predictor, make_partner, capfd):
     """Say what is missing, and predict; refuse what needs it."""

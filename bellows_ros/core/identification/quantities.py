@@ -130,9 +130,8 @@ def deviations_of(readings: Iterable[Readings]) -> Free:
 
 def _exposure_std(values: Values) -> Array:
     """Return the relative standard deviation of the exposure, 0 for a tracked body."""
-    exposure, std = values.measured.exposure, values.measured.exposure_std
-    is_tag = float(values.measured.tag_size > 0.0)
-    return np.array([is_tag * (std / exposure if exposure else 1.0)])
+    is_unknown = values.measured.tag_size > 0.0 and not values.measured.exposure
+    return np.array([float(is_unknown)])
 
 
 def stated(given: Free) -> list[str]:

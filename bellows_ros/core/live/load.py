@@ -19,6 +19,9 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
 import numpy as np
 
+AMBIENT = 101_325.0
+"""Absolute pressure around the cup, standard atmosphere, Pa."""
+
 LEAST_ABSOLUTE = 5000.0
 """Absolute pressure below which no ejector evacuates a cup, Pa."""
 
@@ -87,7 +90,7 @@ class Load:
     Parameters
     ----------
     values : mapping
-        Parameters by name: inputs of `grip_of`, vacuum.ambient, safety.least, package.mass,
+        Parameters by name: inputs of `grip_of`, safety.least, package.mass,
         envelope.*.
     pressure : float, optional
         Last measured absolute pressure in the cup, Pa.
@@ -123,10 +126,10 @@ class Load:
         self, pressure: float | None, of_cups: Mapping[int, float] = NO_CUPS
     ) -> None:
         """Store the measured absolute pressures (Pa) in the cup and in single cups."""
-        self.pressure, ambient = pressure, self._values.vacuum.ambient
+        self.pressure = pressure
         self.grip = conversion.grip_of(
-            self._values, None if pressure is None else ambient - pressure,
-            {cup: ambient - of_cup for cup, of_cup in of_cups.items()})
+            self._values, None if pressure is None else AMBIENT - pressure,
+            {cup: AMBIENT - of_cup for cup, of_cup in of_cups.items()})
 
     @property
     def has_envelope(self) -> bool:
@@ -168,7 +171,7 @@ class Load:
         """Return the pressure below ambient in the cup (Pa): measured, or vacuum.holding."""
         if self.pressure is None:
             return float(self._values.vacuum.holding)
-        return max(float(self._values.vacuum.ambient) - self.pressure, 0.0)
+        return max(AMBIENT - self.pressure, 0.0)
 
     def reset(self) -> tuple[Safety | None, Distance | None, float]:
         """Return safety factor, distance and largest bending (rad) since the last call."""
@@ -301,7 +304,7 @@ def check_live(values: Values) -> None:
     cup, package = conversion.cup_of(values), conversion.package_of(values)
     payload = LivePayload(cup, package, conversion.gravity_of(values))
     model = payload.model
-    load = Load(values, values.vacuum.ambient)  # compiled also before a vacuum is measured
+    load = Load(values, AMBIENT)  # compiled also before a vacuum is measured
     try:
         with np.errstate(all='ignore'):
             load.watch_force(model, STILL)

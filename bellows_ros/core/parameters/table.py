@@ -68,7 +68,7 @@ class Parameter:
     name: str
     default: Value | None = None
     unit: str = ''
-    used_by: tuple[str, ...] = ()
+    used_by: tuple[str, ...] = ('identifier', 'predictor')
     kind: Kind = 'string'
     minimum: float | None = None
     maximum: float | None = None
@@ -156,6 +156,8 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
     fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key, value in {**entry, **_COMPUTED.get(name, {})}.items()}
+    if 'range' in fields:
+        fields['minimum'], fields['maximum'] = fields.pop('range')
     if 'length' in fields and isinstance(fields.get('default'), float):
         fields['default'] = (fields['default'],) * fields['length']
     return Parameter(name, **fields)
