@@ -51,7 +51,7 @@ def outcome(laboratory, cause, other=''):
     findings = verdict.causing
     named = [f'{own.name} {own.value} {own.instead} '
              f'{"certain" if own.certain else "perhaps"}' for own in findings]
-    said = '; '.join([*named, *verdict.refusals])[:200]
+    said = '; '.join([*named, *(own.code for own in verdict.refusals)])[:200]
     if other and named:
         return of_two(named, cause, other), said
     word, off = unnamed(laboratory, verdict, found, said)

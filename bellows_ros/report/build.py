@@ -69,10 +69,10 @@ def _replay_parts(result: Replay) -> tuple[str, str]:
 def _origin(provenance: Mapping[str, Any], values: Mapping[str, Any]) -> str:
     """Return digests of files, versions, and settings."""
     def show(out: Writer) -> None:
-        out.table([('file', 'SHA-256'), *(
-            (f'{entry["path"]} {file["name"]}', file['sha256'])
-            for key in ('recordings', 'parameter_files') for entry in provenance.get(key, ())
-            for file in entry['files'])], title='Provenance')
+        out.line('Provenance', 'bold')
+        for entry in (*provenance['recordings'], *provenance.get('parameter_files', ())):
+            for file in entry['files']:
+                out.line(f'{file["sha256"]}  {entry["path"]}, {file["name"]}')
         out.table([('', 'version'), *(
             (name, version or '-') for name, version in provenance['versions'].items())])
         out.table([('parameter', 'value'), *((name, str(each)) for name, each in values.items())])

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 import math
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.identification.result import Fit, UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.core.model.structure import structure_named
@@ -122,9 +123,10 @@ class Writer:
 def print_identification(result: 'Identification', out: Any) -> None:
     """Print the cup, with samples and findings."""
     fit, verdict = result.fit, result.verdict
-    sentences = verdict.sentences if verdict else ()
     if verdict:
-        out.paragraph(*verdict.cause, *verdict.doubts)
+        out.paragraph(*map(text_of, (*verdict.cause, *verdict.doubts)))
+    elif result.values.topics.package_pose:
+        out.paragraph(text_of(Finding('no_verdict')))
     out.paragraph(*result.refusals, style='red')
     found = 'No cup' if result.refusals else 'Cup'
     out.line(f'{found} identified from {listed(result.bags)}', 'bold')
@@ -132,7 +134,7 @@ def print_identification(result: 'Identification', out: Any) -> None:
     out.line()
     for simulated in verdict.simulated if verdict else ():
         if not all(map(math.isfinite, simulated.rms)):
-            out.paragraph(simulated.sentence)
+            out.paragraph(text_of(Finding('not_simulated', Level.WARN, {'bag': simulated.bag})))
             continue
         out.table([
             ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, DISPLAY_UNITS, strict=True))),
@@ -146,7 +148,7 @@ def print_identification(result: 'Identification', out: Any) -> None:
     _print_samples(result, out)
     if fit.converged:
         out.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
-    out.paragraph(*result.notes[len(sentences):])
+    out.paragraph(*result.notes)
     out.warn(*result.warnings)
 
 

@@ -7,6 +7,7 @@ from functools import cached_property, partial
 import math
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import samples
@@ -23,6 +24,7 @@ from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
 from bellows_ros.errors import BellowsError, UnstableError
 from bellows_ros.files import File, parameter_files, results
+from bellows_ros.report.findings import entry
 from bellows_ros.report.findings import text as text_of
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
@@ -45,11 +47,6 @@ NORMAL_95 = 1.959963984540054
 
 CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.stretch', 'cup.layout')
 """Parameters on which K and P depend; the cup file has them unless they have the default."""
-
-NO_VERDICT = (
-    'None of the first recordings could be used: the error of a free simulation, and whether the '
-    'given data are right, is unknown. Leave these recordings out.')
-"""Reason for a missing verdict."""
 
 UNKNOWN_STD = 1e9
 """Standard error of an unidentifiable entry in parameter files."""
@@ -314,20 +311,26 @@ class Identification(CommandResult):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Findings in addition to K and P, as sentences."""
+        """Sentences on the cup in addition to K and P."""
         return (
-            *(self.verdict.sentences if self.verdict else (
-                (NO_VERDICT,) * bool(self.values.topics.package_pose))),
-            *(text for number, part in enumerate(self.parts)
-              for text in map(text_of, world_finding(part.name, self._final_world(number)))),
-            *self._clock_sentences(),
-            *self._free_sentences(),
-            *_standstill_sentences(self),
-            *(text for each in self.validations for text in (
+            *map(text_of, self._findings()), *(text for each in self.validations for text in (
                 *map(text_of, offset_finding(each.bag, each.time_offset)), each.sentence)))
 
-    def _free_sentences(self) -> Iterator[str]:
-        """Yield sentences about the parameters estimated by fit.free, lengths in mm."""
+    def _findings(self) -> Iterator[Finding]:
+        """Yield findings on worlds, clocks, estimates and standstills."""
+        for number, part in enumerate(self.parts):
+            yield from world_finding(part.name, self._final_world(number))
+        yield from self._clocks()
+        yield from self._freed_values()
+        static = self.static
+        if static and self.fit.standstills:
+            count, chi2 = self.fit.standstills
+            yield Finding('with_standstills', Level.OK, {'count': count, 'chi2': chi2})
+        if static and static.length:
+            yield Finding('length_of_loads', Level.OK, {'length': length_sentence(static.length)})
+
+    def _freed_values(self) -> Iterator[Finding]:
+        """Yield findings on the parameters estimated by fit.free, lengths in mm."""
         for freed in self.fit.freed if self.found else ():
             name = FREE_PARAMETERS[freed.name][0]
             value, std, unit = self.found[name]
@@ -336,14 +339,14 @@ class Identification(CommandResult):
                 f'{factor * x:z.{max(1 - math.floor(math.log10(factor * s)), 0)}f} ± '
                 f'{factor * s:.2g}' for x, s in zip(
                     np.atleast_1d(value), np.atleast_1d(std), strict=True) if s)
-            yield (f'{name} was estimated together with K and P: {numbers} '
-                   f'{"mm" if unit == "m" else unit}.')
+            yield Finding('freed_value', Level.OK, {
+                'values': f'{numbers} {"mm" if unit == "m" else unit}'}, name)
 
-    def _clock_sentences(self) -> Iterator[str]:
-        """Yield sentences about the clocks of the recordings."""
+    def _clocks(self) -> Iterator[Finding]:
+        """Yield findings on the clocks of the recordings."""
         offsets = map(TimeOffset, self.fit.delays, self.fit.delays_std)
         for bag, offset in zip(self.bags, offsets, strict=False):
-            yield from map(text_of, offset_finding(bag, offset))
+            yield from offset_finding(bag, offset)
 
     def _fit_warnings(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless detected faults cause them."""
@@ -355,7 +358,7 @@ class Identification(CommandResult):
         misfit = (self.fit.misfit,) if self.fit.misfit and not is_explained else ()
         if self.fit.usable and self.verdict and self.verdict.refusals:
             return misfit
-        kept = [f'The cup file has the given values of {", ".join(self._unknown)}.'] if (
+        kept = [text_of(Finding('kept_given', Level.WARN, {'names': self._unknown}))] if (
             self._unknown and self.fit.usable) else []
         return (*self.fit.warnings, *misfit, *kept)
 
@@ -363,7 +366,7 @@ class Identification(CommandResult):
     def warnings(self) -> tuple[str, ...]:
         """Warnings: about the input, the fit, the recordings, the validations."""
         return (
-            *(f"Recording '{bag}' was left out: {reason}" for bag, reason in self.failed),
+            *(text_of(Finding('left_out', Level.WARN, each._asdict())) for each in self.failed),
             *self.assumed,
             *self._fit_warnings(),
             *(self.static.warnings if self.static else ()),
@@ -377,7 +380,8 @@ class Identification(CommandResult):
         return results.with_units({
             **fit_json(self.fit),
             'warnings': self.warnings,
-            'findings': self.notes,
+            'findings': [*map(entry, self._findings())],
+            'notes': self.notes,
             'cup_length': self.cup_length,
             'found_parameters': {
                 name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}
@@ -417,14 +421,13 @@ class Identification(CommandResult):
     def refusals(self) -> tuple[str, ...]:
         """Reasons to reject the cup; empty for a usable one."""
         doubts = self.verdict.refusals if self.verdict else ()
-        return doubts if doubts or self.fit.usable else (
-            'This cup cannot hold a package: see the warnings.' if self.fit.converged else
-            'K and P were not found, as the search did not converge: see the warnings.',)
+        return tuple(map(text_of, doubts if doubts or self.fit.usable else [Finding(
+            'cannot_hold' if self.fit.converged else 'not_converged', Level.ERROR)]))
 
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError for a rejected cup; with force, only for a cup unable to predict."""
         if self.refusals and not (force and self.fit.usable):
-            causes = self.verdict.cause if self.verdict else ()
+            causes = map(text_of, self.verdict.cause if self.verdict else ())
             more = () if self.fit.usable else (*self.assumed, *self._fit_warnings())
             raise BellowsError(' '.join([*causes, *self.refusals, *more]))
 
@@ -435,22 +438,9 @@ class Identification(CommandResult):
             f'Identified by bellows_ros {__version__} from {", ".join(self.bags)}',
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
-            *self._clock_sentences(),
+            *map(text_of, self._clocks()),
             *(f'Not identifiable, as given: {label}.' for label in self._unknown),
             *(f'REFUSED, but written all the same: {reason}' for reason in self.refusals)]
-
-
-def _standstill_sentences(result: Identification) -> Iterator[str]:
-    """Yield sentences on the contribution of standstills to a fit, and on their cup length."""
-    static = result.static
-    if static is None:
-        return
-    if result.fit.standstills:
-        count, chi2 = result.fit.standstills
-        yield (f'{count} standstills are part of the fit (chi^2 of their mean poses {chi2:.2g}, '
-               'expected 1).')
-    if static.length:
-        yield f'Cup length by the loads alone: {length_sentence(static.length)}.'
 
 
 def save(

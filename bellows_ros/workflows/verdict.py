@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+import math
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from bellows_ros.core.findings import Level
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
-from bellows_ros.core.identification.result import DISTINCT, Finding, Fit, POSE_UNITS
+from bellows_ros.core.identification.result import DISTINCT, Fit, POSE_UNITS
+from bellows_ros.core.identification.result import Finding as Cause
 from bellows_ros.core.identification.search import MAX_NOISE_CHI2
 from bellows_ros.core.identification.validation import MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
@@ -29,8 +31,8 @@ from bellows_ros.core.signals.residuals import (
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
-from bellows_ros.report.sentences import finding_sentence, order_of, setting_of, texts
-from bellows_ros.workflows.recordings import remark_sentences
+from bellows_ros.report.findings import entry, facts, text
+from bellows_ros.workflows.causes import cause_finding, order_of
 import numpy as np
 
 MAX_TESTED = 3
@@ -89,30 +91,14 @@ class Simulated(NamedTuple):
         return [AXES[i] for i in np.flatnonzero(~within)]
 
     @property
-    def sentence(self) -> str:
-        """The accuracy of the cup."""
-        if not np.isfinite(self.rms).all():
-            return f'{self.bag} cannot be simulated freely with this cup.'
-        parts = []
-        for kind in (slice(0, 3), slice(3, 6)):
-            rms, noise = (DISPLAY_FACTORS[kind] * each[kind] for each in (self.rms, self.noise))
-            errors = ', '.join(
-                f'{name} {x:.2g}' for name, x in zip(AXES[kind], rms, strict=True))
-            parts.append(f'{errors} {DISPLAY_UNITS[kind.start]} '
-                         f'(noise {", ".join(f"{x:.2g}" for x in noise)})')
-        what = f'{self.beginning:.0f} s of {self.bag}' if self.beginning else self.bag
-        return f'Free simulation of {what} with this cup: RMS error {"; ".join(parts)}.'
-
-    @property
-    def vibration_sentence(self) -> str:
-        """The frequency and the size of a vibration, and a remedy."""
+    def vibration_finding(self) -> Finding:
+        """Frequency and size of the vibration."""
         assert self.vibration
         sizes = ', '.join(
             f'{AXES[i]} {DISPLAY_FACTORS[i] * size:.2g} {DISPLAY_UNITS[i]}'
             for i, size in enumerate(self.vibration.rms) if size > 0.3 * self.noise[i])
-        return (f'{self.bag}: the errors are noise and a vibration at '
-                f'{self.vibration.frequency:.3g} Hz (RMS {sizes}), with which the cup does not '
-                'move. A base, a camera or a marker shakes: fix it, or predict with this error.')
+        return Finding('vibration', Level.WARN, {
+            'bag': self.bag, 'frequency': self.vibration.frequency, 'sizes': sizes})
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
@@ -133,15 +119,15 @@ class FitVerdict(NamedTuple):
     """
 
     simulated: tuple[Simulated, ...]
-    causing: tuple[Finding, ...]
+    causing: tuple[Cause, ...]
     """Causes of a misfit, the likeliest first."""
     given: Values
     excess: float = 0.0
     """Chi² beyond noise, over the chi² expected of noise."""
-    faults: tuple[str, ...] = ()
-    """Sentences on faults of the recordings that were accepted."""
-    sensor: str = ''
-    """Sentence on poses that seem to be of another kind of sensor than stated, or ''."""
+    faults: tuple[Any, ...] = ()
+    """Faults of the recordings that were accepted."""
+    sensor: tuple[Any, ...] = ()
+    """Findings on poses that seem to be of another kind of sensor than stated."""
     log_inertia_ratio: float = 0.0
     """Logarithm of the ratio of inertia and mass as estimated by the fit, relative to the given
     ratio."""
@@ -152,7 +138,7 @@ class FitVerdict(NamedTuple):
     """
 
     @property
-    def wrong(self) -> list[Finding]:
+    def wrong(self) -> list[Cause]:
         """The likeliest cause, if the cup is wrong without it."""
         likely = [each for each in self.causing if each.name != 'unknown']
         return [each for each in likely[:1] if each.material]
@@ -173,15 +159,15 @@ class FitVerdict(NamedTuple):
             (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """Sentences on the likeliest cause, if any, and on the quality of the cup."""
-        return (*self.cause, *self.doubts, *(simulated.sentence for simulated in self.simulated))
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the likeliest cause, if any, on the given values, and on the cup."""
+        return (*self.cause, *self.doubts, *self.refusals)
 
     @property
-    def vibrations(self) -> tuple[str, ...]:
-        """Sentences on vibrations, if they explain all errors beyond noise."""
+    def vibrations(self) -> tuple[Finding, ...]:
+        """Findings on vibrations, if they explain all errors beyond noise."""
         beyond = [each for each in self.simulated if not each.is_at_noise]
-        return tuple(each.vibration_sentence for each in beyond) if all(
+        return tuple(each.vibration_finding for each in beyond) if all(
             each.vibration for each in beyond) else ()
 
     @property
@@ -190,28 +176,27 @@ class FitVerdict(NamedTuple):
         return bool(self.simulated) and all(each.is_at_noise for each in self.simulated)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Sentences on corrections by the fit that may be due to a wrong mass."""
-        sentences = []
+    def doubts(self) -> tuple[Finding, ...]:
+        """Findings on corrections by the fit that may be due to a wrong mass."""
+        if self.refusals:
+            return ()
+        found = []
         inertia = self.found.get('package.inertia', (np.zeros(3),))[0]
         if abs(self.log_inertia_ratio) >= MIN_INERTIA_RATIO and not self._in_order(
                 'package.inertia', inertia):
-            sentences.append(
-                f'package.inertia is {np.exp(-self.log_inertia_ratio):.3g} times the value '
-                'consistent with package.mass, and the fit has corrected the inertia. If the mass '
-                'is wrong instead, K and P are off by that factor: weigh the package.')
-        sentences += [
-            f'{name} is {off} off the given value, {pull:.2g} times its stated standard '
-            f'deviation.{self._in_order(name, value)} Measure it again, or state a larger '
-            f'{name}_std.' for name, (value, off, pull) in self.found.items()
+            found.append(Finding('doubtful_mass', Level.WARN, {
+                'factor': math.exp(-self.log_inertia_ratio)}))
+        found += [
+            Finding('off_given', Level.WARN, {
+                'off': off, 'pull': pull, 'order': self._in_order(name, value)}, name)
+            for name, (value, off, pull) in self.found.items()
             if pull > SIGMAS and f'{name}_std' in PARAMETERS]
         if self.found:
-            found = ', '.join(
+            values = ', '.join(
                 f'{name} [{", ".join(f"{x:.4g}" for x in value)}] (given {off} off)'
                 for name, (value, off, _) in self.found.items())
-            sentences.append(f'Found with K and P: {found}. Predictions of this package need '
-                             'these values, too.')
-        return () if self.refusals else tuple(sentences)
+            found.append(Finding('found_values', Level.OK, {'values': values}))
+        return tuple(found)
 
     def _in_order(self, name: str, value: Array) -> str:
         """Return a sentence on moments of inertia that were given in another order, or ''."""
@@ -221,47 +206,43 @@ class FitVerdict(NamedTuple):
         return order and f' The given moments fit about other axes: {order}.'
 
     @property
-    def cause(self) -> tuple[str, ...]:
-        """Sentences about the main cause and further ones, if any."""
+    def cause(self) -> tuple[Any, ...]:
+        """Findings on the main cause and further ones, if any."""
         if self.faults:
             return self.faults
         if self.vibrations and not any(each.certain for each in self.causing):
             return self.vibrations
         if not self.causing:
             return ()
-        first = self.causing[0]
-        if first.certain:
-            return (finding_sentence(first, self.given),)
+        first, *_ = said = [cause_finding(each, self.given) for each in self.causing]
+        if self.causing[0].certain:
+            return (first,)
         likely = [each for each in self.causing if each.name != 'unknown']
         is_sound = not self.contradicted and (
             self.is_at_noise or self.simulated and not self.refusals and not (
                 likely and likely[0].share >= DISTINCT or self._is_misfit))
         if is_sound:
             return ()
-        listed = ' '.join(f'{number}. {finding_sentence(each, self.given)}'
-                          for number, each in enumerate(likely, 1))
-        unknown = finding_sentence(first, self.given) if first.name == 'unknown' else ''
-        return tuple(filter(None, (
-            self.sensor or unknown, f'Likeliest, but not certain: {listed}' if likely else '')))
+        listed = ' '.join(f'{number}. {text(each)}' for number, each in enumerate(
+            (own for own in said if own.code != 'cause_unknown'), 1))
+        unknown = [own for own in said[:1] if own.code == 'cause_unknown']
+        return (*(self.sensor or unknown), *(
+            [Finding('likeliest', Level.WARN, {'causes': listed})] if likely else []))
 
     @property
-    def refusals(self) -> tuple[str, ...]:
+    def refusals(self) -> tuple[Finding, ...]:
         """Reasons to reject the cup; empty for a usable one."""
-        reasons = [
-            f'{simulated.bag}: with the cup of the first four fifths, the last fifth is predicted '
-            f'worse than {100.0 * MAX_NRMSE:g} % of the motion and three times the noise in '
-            f'{", ".join(simulated.unpredicted)}, so model or data are wrong, or change during '
-            'the recording.' for simulated in self.simulated if simulated.unpredicted]
-        reasons += ['Correct the recording as the first line says, and fit again.'] * bool(
-            self.faults)
+        reasons = [Finding('not_predicted', Level.ERROR, {
+            'bag': simulated.bag, 'limit': MAX_NRMSE, 'axes': ', '.join(simulated.unpredicted)})
+            for simulated in self.simulated if simulated.unpredicted]
         if self.contradicted:
-            reasons.append(
-                'No single cause is certain, and the fit contradicts given values: '
-                f'{"; ".join(self.contradicted)}. K and P are wrong accordingly. Measure these '
-                'again, or state larger standard deviations.')
-        for finding in self.wrong[:1]:
-            line = 'first line says' if finding is self.causing[0] else 'lines above say'
-            reasons.append(f'Correct {setting_of(finding)} as the {line}, and fit again.')
+            reasons.append(Finding('contradicted', Level.ERROR, {
+                'values': '; '.join(self.contradicted)}))
+        if self.faults or self.wrong:
+            names = [name for each in self.wrong[:1]
+                     for name in facts()[cause_finding(each, self.given).code].get('sets', ())]
+            reasons.append(Finding('correct_first', Level.ERROR, {
+                'name': ' or '.join(names) or 'the recording'}))
         return tuple(reasons)
 
     def as_json(self) -> dict[str, Any]:
@@ -270,12 +251,9 @@ class FitVerdict(NamedTuple):
             'free_simulations': self.simulated,
             'excess': self.excess,
             'hypotheses': [
-                {**finding._asdict(), 'material': finding.material,
-                 'setting': setting_of(finding),
-                 'sentence': finding_sentence(finding, self.given),
-                 'units': dict.fromkeys(
-                     ('theta', 'std'), texts('causes').get(f'{finding.name}.units', '1'))}
-                for finding in self.causing]}
+                {'name': each.name, 'value': each.value, 'share': each.share,
+                 'certain': each.certain, 'material': each.material,
+                 **entry(cause_finding(each, self.given))} for each in self.causing]}
 
 
 def verdict_of(
@@ -297,8 +275,8 @@ def verdict_of(
 
     """
     tested = recordings[:MAX_TESTED]
-    faults, sensors = (tuple(text for recording in tested for text in remark_sentences(
-        filter(chosen, recording.report.remarks))) for chosen in (
+    faults, sensors = (tuple(remark for recording in tested for remark in filter(
+        chosen, recording.report.remarks)) for chosen in (
             lambda remark: remark.level == Level.ERROR, lambda remark: remark.code in SENSORS))
     if not tested:
         return None
@@ -308,7 +286,7 @@ def verdict_of(
         'package.inertia': np.diag(package.inertia)})
     simulated = values.replaced({'cup.length': length, 'fit.method': 'output_error'})
     verdict = FitVerdict(
-        (), (), given, faults=faults, sensor=''.join(sensors[:1]))
+        (), (), given, faults=faults, sensor=sensors[:1])
     verdict = _judged(verdict, fit, tested, length, values)
     if faults:
         return verdict

@@ -14,6 +14,7 @@ from bellows_ros.files.messages import BOOL, encode_bool
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.report.build import write_page
+from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import masks_held
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
 from bellows_ros.workflows.identify import identify
@@ -226,7 +227,7 @@ def test_a_wrong_world_is_named_before_a_fit(shipped):
                        'recording.end': 8.0, 'recording.align_at_rest': False,
                        'fit.method': 'output_error'})
     assert not result.fit.converged and result.verdict.causing[0].name == 'recording.world'
-    assert 'recording.world: z_up' in result.verdict.cause[0] and result.refusals
+    assert 'recording.world: z_up' in text(result.verdict.cause[0]) and result.refusals
 
 
 def test_a_rejected_cup_is_written_only_by_force_with_a_note(shipped, tmp_path):

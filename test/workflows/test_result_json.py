@@ -7,7 +7,7 @@ from bellows_ros.files.results import format_json
 from bellows_ros.workflows.identify import identify
 import pytest
 
-PLAIN = ('settings', 'provenance')
+PLAIN = ('settings', 'provenance', 'numbers')
 """Blocks whose units are those of the parameters, and what has none."""
 
 

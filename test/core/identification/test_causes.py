@@ -19,8 +19,8 @@ from bellows_ros.core.recording.prepared_faults import MAX_NOISE_ORDER, noise_or
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
 from bellows_ros.errors import BellowsError
-from bellows_ros.report.findings import prevents
-from bellows_ros.report.sentences import finding_sentence
+from bellows_ros.report.findings import prevents, text
+from bellows_ros.workflows.causes import cause_finding
 from bellows_ros.workflows.recordings import checked, remark_sentences
 from bellows_ros.workflows.replay import validated
 from bellows_ros.workflows.verdict import verdict_of
@@ -192,7 +192,7 @@ def test_a_slip_and_a_tilt_are_sized():
     assert np.hypot(*slip.theta[:2]) == pytest.approx(3e-3, rel=0.1)
     assert slip.theta[2] == pytest.approx(10.0 * 150.0 / 240.0, abs=0.3)
     down = tilted.level.T @ [0.0, 0.0, -1.0]
-    said = re.search(r'gravity.direction: \[(.*)\]', finding_sentence(tilt, {}))[1]
+    said = re.search(r'gravity.direction: \[(.*)\]', text(cause_finding(tilt, {})))[1]
     assert np.linalg.norm([float(x) for x in said.split(',')] - down) < 5e-3
 
 
@@ -228,7 +228,7 @@ def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
     given = {'gravity.direction': (np.sin(0.2), 0.0, -np.cos(0.2))}
     found = Finding('gravity.direction', '', np.array([0.0, -0.2]), np.full(2, 1e-3))
     back = Finding('gravity.direction', '', np.array([0.0, 0.2]), np.full(2, 1e-3))
-    said = [re.search(r'direction: \[(.*)\]', finding_sentence(own, given))[1]
+    said = [re.search(r'direction: \[(.*)\]', text(cause_finding(own, given)))[1]
             for own in (found, back)]
     x = [float(text.split(',')[0]) for text in said]
     assert min(abs(own) for own in x) < 1e-4 and max(abs(own) for own in x) > 0.3
