@@ -59,7 +59,7 @@ def sentence(room: str, code: str, **numbers: Any) -> str:
     return formatted(texts(room)[code], **numbers)
 
 
-def formatted(text: str, **numbers: Any) -> str:
+def formatted(text: str, /, **numbers: Any) -> str:
     """Return a text with its fields, values in SI units, filled in."""
     return _Sentence().vformat(text, (), numbers)
 
