@@ -25,8 +25,7 @@ TEXTS = Path(__file__).with_name('texts')
 
 SENTENCE_UNITS: Mapping[str, tuple[float, str]] = {
     'mm': (1e3, 'mm'), 'um': (1e6, 'um'), 'mm/s': (1e3, 'mm/s'), 'ms': (1e3, 'ms'),
-    'us': (1e6, 'us'), 'g': (1e3, 'g'), '%': (1e2, '%'), 'ppm': (1e6, 'ppm'),
-    'mrad': (1e3, 'mrad'),
+    'us': (1e6, 'us'), '%': (1e2, '%'), 'ppm': (1e6, 'ppm'), 'mrad': (1e3, 'mrad'),
     'deg': (math.degrees(1.0), 'degrees'), 'deg/s': (math.degrees(1.0), 'degrees/s')}
 """Units in sentences: their number in one SI unit, and their printed name."""
 

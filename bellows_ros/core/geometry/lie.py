@@ -402,23 +402,6 @@ def adjoint(T: Array) -> Array:
     return X
 
 
-def wrench_transform(T_a_b: Array) -> Array:
-    """
-    Return X(T_a_b^-1)^T, which maps a wrench from b to a (2.28).
-
-    Parameters
-    ----------
-    T_a_b : array (..., 4, 4)
-        Poses of b in a.
-
-    Returns
-    -------
-    array (..., 6, 6)
-
-    """
-    return np.swapaxes(adjoint(inverse_transform(T_a_b)), -1, -2)
-
-
 def exp_se3(xi: Array) -> Array:
     """
     Return the pose reached in unit time with a constant twist.

@@ -228,21 +228,10 @@ class Structure:
             for matrix in (stiffness, damping)
             for entries in self.entries])
 
-    def within(self, other: 'Structure') -> Array:
-        """Return T (2 m, 2 n), the map of parameters to another structure's, of equal models."""
-        T = [other.parameters(unit, unit)[:other.size] for unit in self.model_basis]
-        return np.asarray(np.kron(np.eye(2), np.column_stack(T)), dtype=np.float64)
-
     def sizes(self, stiffness: Array, damping: Array) -> Array:
         """Return the scale of each parameter (2 n,): geometric mean of its diagonal entries."""
         i, j = np.array(self.leads).T
         return np.concatenate([np.sqrt(np.abs(M[i, i] * M[j, j])) for M in (stiffness, damping)])
-
-    def contains(self, other: 'Structure') -> bool:
-        """Return whether every model of another structure also has this structure."""
-        return all(
-            np.allclose(self.matrices(self.parameters(unit, unit))[0], unit, rtol=0.0, atol=1e-12)
-            for unit in other.model_basis)
 
     def covariance(self, count: int, mean: Array, scatter: Array) -> Array:
         """
@@ -303,11 +292,6 @@ def structure_named(name: str) -> Structure:
         raise BellowsError(
             f"fit.structure is '{str(name)[:40]}'; expected one of {', '.join(STRUCTURE_NAMES)}.")
     return AUTO_STRUCTURES[0] if name == AUTO else STRUCTURES.get(name, OF_LAYOUT)
-
-
-def common_structure(one: Structure, other: Structure) -> Structure:
-    """Return the simplest structure that contains two structures."""
-    return next(s for s in STRUCTURES.values() if s.contains(one) and s.contains(other))
 
 
 ROUNDING = 1e-12

@@ -16,7 +16,6 @@ from bellows_ros.core.geometry.lie import apply
 from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import weights_for
 from bellows_ros.core.signals.trajectory import (
-    Filtered,
     NS_PER_S,
     PoseStream,
     Trajectory,
@@ -179,13 +178,6 @@ def _clean(
             marked = marked.select(slice(good[0], good[-1] + 1))
         return (StreamReport(recorded, timing, outliers, arrivals=arrivals), marked,
                 resampling.on_grid(marked, timing))
-
-
-def filtered_tool(tool: PoseStream, settings: PrepareSettings) -> Filtered:
-    """Return the filtered motion of a tool, in a recording without a package."""
-    _, _, poses = _clean(tool, settings.R_world_recorded)
-    return _filter(
-        poses, settings.tool_half_window, settings.tool_order, tool.name).filtered()
 
 
 @contextmanager

@@ -45,17 +45,6 @@ ORDER = 4
 NOISE_SAMPLES = 20_000
 """Smallest number of windows or samples for the noise, which gives the noise to 1 %."""
 
-TOOL_HALF_WINDOW = 6
-"""
-Half window of the polynomials that give the tool's pose and twist from its measured poses.
-
-At 125 Hz a motion of 3 Hz has a relative error of 1e-5. Shorter windows leave more noise in the
-twists, which biases the damping.
-"""
-
-TOOL_ORDER = 6
-"""Order of the polynomials that give the tool's pose and twist from its measured poses."""
-
 PLACES = 8
 """Number of interpolation points between two tool poses for which noise weights are computed."""
 

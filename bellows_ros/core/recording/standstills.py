@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.lie import exp_so3, log_so3, mean_rotation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.core.model.validity_range import Envelope
-from bellows_ros.core.recording.recording import Noise, noise_of, PrepareSettings, Recording
+from bellows_ros.core.recording.recording import Noise, PrepareSettings, Recording
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -122,15 +122,6 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
     return tuple(
         _standstill(tool.select(span), package.select(span), noise, recording.settings)
         for span in spans), failed
-
-
-def rests_of(tool: Trajectory) -> tuple[list[Stamps], Trajectory]:
-    """Return the samples of every standstill of a tool alone, and its mean poses there (N)."""
-    spans = _spans_at_rest([tool], [noise_of(tool)], _blocks(tool, tool))
-    if not spans:
-        raise BellowsError(
-            f'The tool never stands still for {MIN_DURATION:g} s. Hold each pose for a second.')
-    return spans, _means(tool, spans)
 
 
 def _standstill(

@@ -162,16 +162,6 @@ def test_adjoint_is_a_homomorphism():
     assert_allclose(lie.adjoint(T_a_b @ T_b_c), product, atol=1e-14)
 
 
-def test_adjoint_and_wrench_transform_keep_the_power():
-    rng = np.random.default_rng(15)
-    T_a_b = random_poses(50)
-    twist_b, wrench_b = rng.normal(size=(2, 50, 6))
-    twist_a = lie.apply(lie.adjoint(T_a_b), twist_b)
-    wrench_a = lie.apply(lie.wrench_transform(T_a_b), wrench_b)
-    power = np.sum(wrench_b * twist_b, axis=1)
-    assert_allclose(np.sum(wrench_a * twist_a, axis=1), power, atol=1e-13)
-
-
 def test_leading_axes_and_single_elements_are_alike():
     xi = np.random.default_rng(17).normal(size=(2, 3, 6))
     T = lie.exp_se3(xi)

@@ -7,7 +7,6 @@ from bellows_ros.core.model.cup_package import model_with
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import cup_wrench
 from bellows_ros.core.model.structure import (
-    common_structure,
     composition,
     has_coupling,
     structure_named,
@@ -84,18 +83,6 @@ def test_pooled_covariances_are_those_of_pooled_vectors(name):
                 for other, (j, t) in enumerate(block):
                     expected[i, j] = s * t * pooled[one, other]
     assert_allclose(Q, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_structures_contain_each_other_as_matrices_do():
-    contained = {
-        name: [other for other, inner in STRUCTURES.items() if structure.contains(inner)]
-        for name, structure in STRUCTURES.items()}
-    assert contained['axisymmetric'] == ['axisymmetric']
-    assert contained['axisymmetric_coupled'] == ['axisymmetric', 'axisymmetric_coupled']
-    assert contained['diagonal'] == ['axisymmetric', 'diagonal']
-    assert contained['full'] == list(STRUCTURES)
-    assert common_structure(COUPLED, STRUCTURES['diagonal']).name == 'full'
-    assert common_structure(COUPLED, STRUCTURES['axisymmetric']) is COUPLED
 
 
 def test_an_unknown_structure_is_refused():
