@@ -16,6 +16,7 @@ import math
 import os
 from pathlib import Path, PurePath
 import platform
+import re
 import tomllib
 from typing import Any
 
@@ -64,7 +65,9 @@ def write_json(path: File, content: Any) -> None:
 
 def format_json(content: Any) -> str:
     """Return JSON text with one line per key and per row of a matrix."""
-    return _text(plain(content), '') + '\n'
+    text = json.dumps(plain(content), indent=2, allow_nan=False)
+    return re.sub(r'\[\n[^][{}]*\n *\]', lambda row: re.sub(
+        r'\n *', ' ', row[0]).replace('[ ', '[').replace(' ]', ']'), text) + '\n'
 
 
 def plain(value: Any, units: bool = False) -> Any:
@@ -107,18 +110,6 @@ def with_units(content: Mapping[str, Any], add: bool = True) -> dict[str, Any]:
 def attributes(result: object, *names: str) -> dict[str, Any]:
     """Return some attributes by name."""
     return {name: getattr(result, name) for name in names}
-
-
-def _text(value: Any, indent: str) -> str:
-    """Return plain content as JSON, with each list of numbers or texts on one line."""
-    inner = indent + '  '
-    if isinstance(value, dict) and value:
-        items = [f'{inner}{json.dumps(key)}: {_text(x, inner)}' for key, x in value.items()]
-        return '{\n' + ',\n'.join(items) + f'\n{indent}}}'
-    if isinstance(value, list) and any(isinstance(x, dict | list) for x in value):
-        items = [f'{inner}{_text(x, inner)}' for x in value]
-        return '[\n' + ',\n'.join(items) + f'\n{indent}]'
-    return json.dumps(value, allow_nan=False)
 
 
 def digests(path: File) -> list[dict[str, Any]]:
