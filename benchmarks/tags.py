@@ -24,10 +24,12 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.workflows.identify import identify
 import numpy as np
 
-from .worlds import SHOWN, VALUES
-
+SHOWN = [0, 2, 3, 5]
+"""Indices of the shown entries on the diagonal of K."""
 GIVEN: dict[str, Any] = {
-    **VALUES, 'fit.free': ('package_marker', 'scale'),
+    'bags': ('simulated',), 'fit.method': 'output_error', 'fit.time_offset': True,
+    'recording.package_world': 'estimate', 'fit.free': ('package_marker', 'scale'),
+    'recording.package_frame': 'com', 'recording.world': 'z_up', 'recording.align_at_rest': False,
     'topics.tool_pose': '/tcp_pose_broadcaster/pose', 'topics.package_pose': '/camera/box',
     'tool_pose.offset': '0 0 0 1 0 0 0', 'package.mass': 1.8, 'package.com': (0.0, 0.0, -0.03),
     'package.inertia': (0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0), 'cup.length': 0.046}

@@ -15,7 +15,6 @@ from benchmarks import __main__ as command
 from benchmarks import many, offline, real_cup, startup, step, timing
 from benchmarks.sensors import CELLS, JUDGED, trial
 from benchmarks.tables import markdown, MEBI, tables
-from benchmarks.worlds import line
 import numpy as np
 import pytest
 
@@ -56,13 +55,6 @@ def test_many_recordings_give_one_cup_by_any_route_to_a_small_client():
     assert [fit['killed'] for fit in found] == [False, True, True]
     assert len({(*fit['K'], *fit['std']) for fit in found}) == 1
     assert max(fit['peak'] for fit in found) < 400 * MEBI
-
-
-@pytest.mark.stress
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
-def test_a_cup_is_found_where_the_first_guess_of_its_world_is_far_off():
-    text, (z, *_) = line(16)
-    assert 'accepted' in text and np.all(np.abs(z) < 4.0)
 
 
 def test_a_cup_of_the_law_is_explained_wholly_and_found_from_wrenches_at_rest():

@@ -17,7 +17,6 @@ import signal
 import sys
 import time
 
-from bellows_ros.files.atomic import write_bytes
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.results import write_json
 import numpy as np
@@ -32,19 +31,6 @@ VALUES = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (len(STAMPS), 1))
 def result(path, number):
     """Write JSON."""
     write_json(path, {'number': number, 'values': VALUES[:200]})
-
-
-def picture(path, number):
-    """Write a picture; without matplotlib the bytes of one."""
-    try:
-        from bellows_ros.plots import write_figure
-        from matplotlib.figure import Figure
-    except ImportError:
-        write_bytes(path, bytes([number]) * 500_000)
-        return
-    figure = Figure(figsize=(1.0, 1.0))
-    figure.text(0.0, 0.0, str(number))
-    write_figure(path, figure)
 
 
 def recording(storage, zstd):
@@ -64,7 +50,7 @@ def carelessly(path, number):
 
 
 WRITERS = {
-    'fit.json': result, 'picture.png': picture, 'mcap': recording('mcap', False),
+    'fit.json': result, 'mcap': recording('mcap', False),
     'sqlite3': recording('sqlite3', True), 'careless': carelessly}
 
 
