@@ -73,9 +73,8 @@ def main(args: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGINT
 
 
-def run(folder: Path, out: Path) -> int:
-    """Identify, predict live, compare, and print the result."""
-    begun = time.monotonic()
+def _require(folder: Path, out: Path) -> None:
+    """Make the output folder; raise BellowsError if anything is missing."""
     require_ros()
     require_pictures()
     if missing := [folder / name for name in BAGS if not (folder / name).exists()]:
@@ -87,6 +86,12 @@ def run(folder: Path, out: Path) -> int:
     except OSError as error:
         raise BellowsError(f"Output folder '{out}' cannot be created: {error.strerror}. Give "
                            'another with --out.') from None
+
+
+def run(folder: Path, out: Path) -> int:
+    """Identify, predict live, compare, and print the result."""
+    begun = time.monotonic()
+    _require(folder, out)
     fitted, validated, package = (folder / name for name in BAGS)
     compiler = None
     if IS_NEW:
@@ -115,12 +120,8 @@ def run(folder: Path, out: Path) -> int:
         'relative to the tool; the cup was identified from another recording'))
     noise = recorded.noise.package
     limits = np.repeat([noise.position, noise.rotation], 3)
-    _print_result(settings, comparison.scores, limits)
-    median, high = 1e6 * np.percentile(latency, (50, 99))
-    print(f'Latency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '
-          f'p99 {high:.0f} us\n'
-          f'All of {len(predicted)} poses were answered.\n\n'
-          f'Wrote demo.png, cup.yaml and fit.json to {out}, after '
+    _print_result(settings, comparison.scores, limits, latency)
+    print(f'\nWrote demo.png, cup.yaml and fit.json to {out}, after '
           f'{time.monotonic() - begun:.0f} s.\n'
           'Next, look at a recording of yours: bellows info BAG')
     is_accurate = bool(np.all(comparison.scores.rms <= MAX_ERROR * limits))
@@ -137,52 +138,37 @@ def show_progress(stage: str, fraction: float | None = None) -> None:
 
 
 def _print_result(
-    values: Mapping[str, Any], scores: residuals.Scores, limits: np.ndarray
+    values: Mapping[str, Any], scores: residuals.Scores, limits: np.ndarray, latency: np.ndarray
 ) -> None:
-    """Print the diagonals of K and P, and the errors with the noise of the measured poses."""
-    if sys.stderr.isatty():
-        print('\r\x1b[K', end='', file=sys.stderr)
-    for name in ('stiffness', 'damping'):
-        diagonal = zip(values[f'cup.{name}'][::7], values[f'cup.{name}_std'][::7], strict=True)
-        print(f'cup.{name}: ' + ', '.join(f'{x:.4g} ± {std:.2g}' for x, std in diagonal))
-    print('\nThe package relative to the tool, predicted live minus measured (RMS):')
+    """Print the diagonals of K and P, errors with the noise of the measured poses, latencies."""
+    for name in ('cup.stiffness', 'cup.damping'):
+        print(f'\n{name}:', ', '.join(f'{x:.4g} ± {std:.2g}' for x, std in zip(
+            values[name][::7], values[f'{name}_std'][::7], strict=True)), end='')
+    print('\n\nThe package relative to the tool, predicted live minus measured (RMS):')
     for axis, unit, factor, rms, part, noise in zip(
             residuals.AXES, residuals.DISPLAY_UNITS, residuals.DISPLAY_FACTORS, scores.rms,
             scores.nrmse, limits, strict=True):
         print(f'  {axis:2}  {factor * rms:.3f} {unit:3}  {100.0 * part:5.2f} % of the motion  '
               f'(noise {factor * noise:.2g} {unit})')
-    print()
+    median, high = 1e6 * np.percentile(latency, (50, 99))
+    print(f'\nLatency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '
+          f'p99 {high:.0f} us\nAll of {len(latency)} poses were answered.')
 
 
 @contextmanager
-def _predictor(parameters: Sequence[Path], log: Path) -> Iterator[Callable[[], None]]:
-    """Run the node; yield a function that raises BellowsError if the node has ended by itself."""
-    reliable = (f'qos_overrides./tool_arm/{topic}.subscription.{setting}' for topic in (
-        'pose', 'twist') for setting in ('reliability:=reliable', f'depth:={QUEUE}'))
-    command = [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args']
-    for flag, words in (('--params-file', map(str, parameters)), ('-p', reliable)):
-        command += [word for each in words for word in (flag, each)]
-    with log.open('wb') as output:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT)
-
-    def require_alive() -> None:
-        if process.poll() is not None:
-            lines = log.read_text(errors='replace').splitlines()[-15:]
-            end = '\n'.join(f'  {line}' for line in lines) or '  (it is empty)'
-            raise BellowsError(f'The predictor exited with code {process.returncode}. The end of '
-                               f'its log, {log}:\n{end}')
-
-    try:
-        yield require_alive
-        require_alive()
-    finally:
-        process.send_signal(signal.SIGINT)  # like Ctrl-C
+def _predictor(parameters: Sequence[Path], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run the node, whose subscriptions lose no message."""
+    words = [word for file in parameters for word in ('--params-file', str(file))]
+    for topic in (POSES, TWISTS):
+        for setting in ('reliability:=reliable', f'depth:={QUEUE}'):
+            words += ['-p', f'qos_overrides./{topic}.subscription.{setting}']
+    with log.open('wb') as output, subprocess.Popen(
+            [sys.executable, '-m', 'bellows_ros.nodes.command', 'predictor', '--ros-args', *words],
+            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT) as process:
         try:
-            process.wait(10.0)  # s
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)  # like Ctrl-C
 
 
 def _predict_live(
@@ -199,10 +185,10 @@ def _predict_live(
     context = Context()
     rclpy.init(args=[], context=context)
     try:
-        with _predictor(parameters, log) as require_alive:
+        with _predictor(parameters, log) as process:
             player = _Player(context, [
                 (topics[each.topic], each.log_time_ns, each.data) for each in messages],
-                require_alive)
+                lambda: process.poll() is not None, log)
             sent = player.play()
     finally:
         context.try_shutdown()
@@ -218,14 +204,14 @@ class _Player:
 
     def __init__(
         self, context: Any, rows: Sequence[tuple[str, int, bytes]],
-        require_alive: Callable[[], None],
+        has_ended: Callable[[], bool], log: Path,
     ) -> None:
         from geometry_msgs.msg import PoseStamped, TwistStamped
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
         from std_srvs.srv import Trigger
 
-        self._rows, self._require_alive = rows, require_alive
+        self._rows, self._has_ended, self._log = rows, has_ended, log
         node, self._executor = Node('demo', context=context), SingleThreadedExecutor(
             context=context)
         self._executor.add_node(node)
@@ -245,11 +231,10 @@ class _Player:
         """Spin until a condition holds; raise BellowsError after `TIMEOUT`."""
         deadline = time.monotonic() + TIMEOUT
         while not done():
-            self._require_alive()
-            if time.monotonic() > deadline:
+            if self._has_ended() or time.monotonic() > deadline:
                 raise BellowsError(
-                    f'The predictor {failure} ({TIMEOUT:g} s waited). See its log, and whether '
-                    'DDS may use the loopback interface of this machine.')
+                    f'The predictor {failure} (at most {TIMEOUT:g} s waited). See its log, '
+                    f'{self._log}, and whether DDS may use the loopback interface.')
             self._executor.spin_once(timeout_sec=0.05)
 
     def _is_answered(self) -> bool:

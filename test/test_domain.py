@@ -31,7 +31,7 @@ def test_seekers_at_the_same_time_find_different_domains():
 
 def test_the_search_ends_where_all_are_taken(monkeypatch):
     """Say so instead of sharing one."""
-    monkeypatch.setattr(domain, '_bind', lambda port: None)
+    monkeypatch.setattr(domain, 'DOMAINS', 0)
     with pytest.raises(BellowsError):
         domain.unused_domain()
 

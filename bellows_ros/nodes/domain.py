@@ -1,5 +1,6 @@
 """A ROS domain of this machine alone, for the demonstration and the tests; imports no ROS."""
 
+from contextlib import suppress
 import os
 import socket
 
@@ -39,26 +40,12 @@ def unused_domain() -> int:
     """
     for offset in range(DOMAINS):
         domain = 1 + (os.getpid() + offset) % DOMAINS
-        port = FIRST_PORT + PORTS * domain
-        # multicast discovery and unicast of the first participant; the last port, without DDS
-        bound = list(filter(None, map(_bind, (port, port + 10, port + PORTS - 1))))
-        is_free = len(bound) == 3
-        if is_free:
-            _reserved.append(bound.pop())
-        for probe in bound:
-            probe.close()
-        if is_free:
+        port, lock = FIRST_PORT + PORTS * domain, socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(('', port + 10))  # of the first participant
+            lock.bind(('', port + PORTS - 1))  # the last one, without DDS
+            _reserved.append(lock)
             return domain
+        lock.close()
     raise BellowsError(
         f'All ROS domains from 1 to {DOMAINS} are in use on this machine. End other ROS programs.')
-
-
-def _bind(port: int) -> socket.socket | None:
-    """Return a socket at a port of this machine, None if the port is in use."""
-    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        bound.bind(('', port))
-    except OSError:
-        bound.close()
-        return None
-    return bound
