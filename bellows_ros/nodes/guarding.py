@@ -27,6 +27,8 @@ from rosgraph_msgs.msg import Clock
 from ..errors import shown
 from ..report import findings, health
 
+PACKAGE = Path(__file__).parents[1]
+
 OVERRIDABLE = (
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY)
@@ -60,7 +62,9 @@ class GuardedNode(Node):
 
     def note_failure(self, error: Exception, place: str = '') -> None:
         """Count an exception by its place, by default its line of code; log the first one."""
-        innermost = traceback.extract_tb(error.__traceback__)[-1]
+        frames = traceback.extract_tb(error.__traceback__)
+        ours = [frame for frame in frames[1:] if PACKAGE in Path(frame.filename).parents]
+        innermost = (ours or frames)[-1]  # the first frame is the guard itself
         place = place or f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
         if self.failures[place] > 1:
