@@ -158,7 +158,7 @@ class Planning:
         released = outcome.grip is not None and safety[0] < 1.0
         level = Level.ERROR if released else Level.WARN if message else Level.OK
         return Status('plan', fact(
-            'plan', level, text=message or 'The plan is within all given limits.'), {
+            'plan', level, words=message or 'The plan is within all given limits.'), {
             name: number(value) for name, value in outcome.summary().items()})
 
     # ---------------------------------------------------------------- reading

@@ -237,7 +237,7 @@ def load_status(name: str, load: Load) -> Status:
     elif bending > FLAT_MOMENT_BENDING:
         found = fact('bending', bending=bending)
     elif excess and excess.outside:
-        found = fact('outside', text=excess.text)
+        found = fact('outside', words=excess.text)
     elif not (load.grip or load.has_envelope):
         found = fact('no_limits', Level.OK)
     else:

@@ -301,6 +301,7 @@ def check_live(values: Values) -> None:
             f'measured.type is detections, but measured.tag_size is {measured.tag_size:g} m; '
             f'expected at least {SMALLEST_TAG:g}. Set it to the side of the black square of the '
             'tag, in m.')
+    conversion.release_law_of(values)  # a contradiction would only show at the first release
     cup, package = conversion.cup_of(values), conversion.package_of(values)
     payload = LivePayload(cup, package, conversion.gravity_of(values))
     model = payload.model
