@@ -15,8 +15,6 @@ EXTRAS = {
     # Compiles the integration step; without it the same source is interpreted.
     'fast': ['numba>=0.59'],
     'plot': ['matplotlib>=3.8'],
-    # Completes commands, options and parameters in the shell; ROS brings it.
-    'complete': ['argcomplete>=2'],
     # The program ffmpeg, for animations as .mp4 where the system has none (170 MB).
     # What runs notebooks/; open them with any Jupyter.
     'notebook': ['ipykernel>=6.29', 'nbclient>=0.10', 'matplotlib>=3.8'],
@@ -24,7 +22,6 @@ EXTRAS = {
     # Many recordings on the machines of a cluster.
     'dask': ['distributed>=2024.1'],
     'test': [
-        'argcomplete>=2',
         'pytest>=7.4,<9.2',  # with 9.2 pytest-xdist 3.8 keeps no group of tests together
         'pytest-timeout>=2.2',
         'pytest-xdist>=3.4',
@@ -83,7 +80,8 @@ setup(
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and zstd.
     install_requires=[
-        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'ruamel.yaml>=0.17.21', 'rich>=13'],
+        'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'ruamel.yaml>=0.17.21',
+        'click>=8.1', 'rich>=13.7'],
     extras_require=EXTRAS,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

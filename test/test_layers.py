@@ -29,7 +29,7 @@ FOR_ALL = {'errors', 'version'}
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
 OPTIONAL = {
-    'argcomplete', 'matplotlib', 'mpl_toolkits', 'numba', 'PIL'}
+    'matplotlib', 'mpl_toolkits', 'numba', 'PIL'}
 LATE = {
     'bellows_ros/__init__.py': ('bellows_ros.library',),
     'bellows_ros/library.py': ('bellows_ros.workflows',),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 import math
+import textwrap
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.findings import Finding, Level
@@ -35,6 +36,8 @@ TWO_ERRORS = (
 
 MAX_TEXT = 5000
 """Longest paragraph or cell, characters."""
+WIDTH = 100
+"""Largest width of sentences, characters."""
 
 
 def with_error(value: float, error: float, unit: str = '') -> str:
@@ -70,7 +73,7 @@ def formatted(
     """Return a number times a factor with its unit, or a dash if unknown."""
     if value is None or not math.isfinite(value):
         return unknown
-    return f'{factor * value:{form}} {unit}'.rstrip()
+    return f'{factor * value:z{form}} {unit}'.rstrip()
 
 
 def percent(ratio: float, decimals: int = 2) -> str:
@@ -92,26 +95,47 @@ class Writer:
 
     def __init__(self, console: Console) -> None:
         self.console = console
+        self._gap = self._begun = False
+
+    def close_gap(self) -> None:
+        """Write a pending empty line."""
+        if self._gap:
+            self.console.print()
+        self._gap, self._begun = False, True
 
     def line(self, text: str = '', style: str = '') -> None:
-        """Write a line, by default an empty one."""
-        self.console.print(Text(shown(text, MAX_TEXT), style))
+        """Write a line, whole; an empty one is never written first or twice."""
+        if not text:
+            self._gap = self._begun
+            return
+        self.close_gap()
+        self.console.print(Text(shown(text, MAX_TEXT), style), soft_wrap=True)
 
     def paragraph(self, *texts: str, style: str = '') -> None:
-        """Write sentences."""
+        """Write sentences, wrapped, each with its indentation."""
+        width = max(min(self.console.width, WIDTH), 40)
         for text in texts:
-            self.line(text, style)
+            indent = text[:len(text) - len(text.lstrip())]
+            for line in textwrap.wrap(
+                    shown(text.strip(), MAX_TEXT), width, initial_indent=indent,
+                    subsequent_indent=2 * indent, break_long_words=False, break_on_hyphens=False):
+                self.line(line, style)
 
     def table(self, rows: Sequence[Sequence[str]], right: bool = False, title: str = '') -> None:
         """Write rows in columns below a head; all but the first may be right-aligned."""
+        self.line()
         self.line(title, 'bold')
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2))
+        self.close_gap()
+        table = Table(box=None, pad_edge=False, padding=(0, 0, 0, 2), header_style='')
         for number, name in enumerate(rows[0]):
             table.add_column(Text(name), justify='right' if right and number else 'left',
                              overflow='fold')
         for row in rows[1:]:
             table.add_row(*(Text(shown(cell, MAX_TEXT)) for cell in row))
-        self.console.print(table)
+        width = self.console.width - 2 if self.console.is_terminal else MAX_TEXT
+        options = self.console.options.update(width=width)
+        for segments in self.console.render_lines(table, options, pad=False):
+            self.line(f'  {"".join(part.text for part in segments).rstrip()}')
         self.line()
 
     def warn(self, *texts: str) -> None:

@@ -1,20 +1,21 @@
 """
 Write the reference pages from what the program itself declares; `make reference`.
 
-Parameters come from the one table, topics from the node, commands from the table of commands and
-their parsers, so that no page can say something else than the program does.
+Parameters come from the one table, topics from the node, commands from their functions,
+so that no page can say something else than the program does.
 """
 
-import argparse
 from collections.abc import Callable, Iterator, Mapping
+import inspect
 from pathlib import Path
 import re
 import sys
 
-from bellows_ros.cli import COMMANDS, PROGRAM, program_parser
+from bellows_ros.cli import app, EXIT_CODES
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.files.atomic import write_text
 from bellows_ros.nodes.command import interface
+import click
 
 FOLDER = Path(__file__).resolve().parents[1] / 'reference'
 GENERATED = '<!-- Made by docs/tools/reference.py; change the declarations and run it again. -->'
@@ -126,37 +127,29 @@ def topics() -> Iterator[str]:
 def commands() -> Iterator[str]:
     """Yield the lines of the page of commands."""
     yield from ('# Commands', '', GENERATED, '',
-                'The work of the nodes from a shell, without ROS. Each command has `--help` with '
-                'examples; `eval "$(register-python-argcomplete bellows)"` completes commands, '
-                'options and parameters in the shell (extra `complete`).', '')
-    parsers = program_parser().commands
-    for name, entry in COMMANDS.items():
-        does = entry['does']
-        yield from (f'## bellows {name}', '', f'{does[0].upper()}{does[1:]}.', '',
-                    entry['text'], '')
-        rows = [_argument(action) for action in parsers[name]._actions[1:]]  # not --help
-        if rows:
-            yield from ('| argument | meaning |', '|---|---|', *rows, '')
-        for example in entry['examples']:
-            what = example['what']
-            yield from (f'{what[0].upper()}{what[1:]}:', '', '```text', example['line'], '```', '')
-    yield from ('## Exit codes', '', '| code | meaning |', '|---|---|', *_exit_codes(), '')
-
-
-def _argument(action: argparse.Action) -> str:
-    """Return the row of an argument."""
-    names = ', '.join(action.option_strings) or str(action.metavar or action.dest)
-    value = f' {action.metavar}' if action.option_strings and action.metavar else ''
-    meaning = (action.help or '').replace('%(default)s', str(action.default))
-    return f'| `{names}{value}` | {_cell(meaning)} |'
-
-
-def _exit_codes() -> Iterator[str]:
-    """Yield the rows of the exit codes."""
-    for entry in re.split(r'\n  (?=\d)', PROGRAM['exit_codes'])[1:]:
-        code, *meaning = entry.split()
-        yield f'| {code} | {" ".join(meaning)} |'
+                'The work of the nodes from a shell, without ROS. Each command has `--help`; '
+                '`eval "$(_BELLOWS_COMPLETE=bash_source bellows)"` completes commands, options '
+                'and parameters in bash (`zsh_source` in zsh).', '')
+    for name, command in app.commands.items():
+        yield from (f'## bellows {name}', '')
+        for paragraph in inspect.cleandoc(command.help or '').split('\n\n'):
+            head, _, lines = paragraph.partition('\n  ')
+            yield from (head, '', *(('```text', inspect.cleandoc(f'  {lines}'), '```', '')
+                                    if lines else ()))
+        rows = [_argument(option) for option in command.params]
+        yield from ('| argument | meaning |', '|---|---|', *filter(None, rows), '')
+    yield from ('## Exit codes', '', '| code | meaning |', '|---|---|', *(
+        f'| {code} | {meaning} |' for code, meaning in EXIT_CODES.items()))
     yield '| 141 | the reader of the output has closed it |'
+
+
+def _argument(option: click.Parameter) -> str:
+    """Return the row of an option; '' for a positional argument."""
+    if not isinstance(option, click.Option):
+        return ''
+    value = option.metavar or '/'.join(getattr(option.type, 'choices', ()))
+    name = f'{option.opts[0]} {value}'.strip()
+    return f'| `{name}` | {_cell(option.help or "")} |'
 
 
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {

@@ -62,11 +62,8 @@ def bellows(user_environment):
         with (chdir(cwd), redirect_stdout(out), redirect_stderr(err),
               mock.patch.dict(os.environ)):
             os.environ.pop('COLUMNS', None)  # of whoever started the tests
-            try:
-                code = main(words)
-            except SystemExit as end:
-                code = end.code
-        return subprocess.CompletedProcess(words, code or 0, out.getvalue(), err.getvalue())
+            code = main(words)
+        return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
     return run
 

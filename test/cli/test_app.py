@@ -1,53 +1,58 @@
-"""What holds for all commands: help, versions, exit codes, streams, start-up."""
+"""What holds for all commands: help, wrong lines, values, completion, streams, signals."""
 
-import argparse
-from pathlib import Path
+from contextlib import suppress
+import errno
+import io
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
 
-import bellows_ros
-from bellows_ros.cli import add_arguments, COMMANDS, Output
+from bellows_ros.cli import app, guarded, Output, parse_override
+from bellows_ros.core.geometry import jit
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.atomic import PREFIX
+from bellows_ros.report.console import Console
+from bellows_ros.report.text import column, with_error
+import click
 import pytest
 
-HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'ruamel', 'rclpy')
+from .conftest import contents, MOTION, write_yaml
+
+HEAVY = ('numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'ruamel', 'rclpy', 'rich')
+WITHIN = 600.0  # s, for what comes at once on a machine that is not busy
 
 
-def test_help_names_every_command(bellows, quietly):
-    """List all commands with what they do, and the exit codes."""
-    done = quietly('--help')
-    for name, entry in COMMANDS.items():
-        assert f'{name} ' in done.stdout and entry['does'] in done.stdout
-    assert 'exit codes' in done.stdout and '130' in done.stdout
-    assert 'Angles are shown in degrees' in done.stdout
-    assert bellows('--version').stdout == f'bellows {bellows_ros.__version__}\n'
+def run(environment, *arguments, **more):
+    """Run `bellows` as a process of its own."""
+    return subprocess.run(
+        [sys.executable, '-m', 'bellows_ros.cli', *map(str, arguments)], text=True,
+        capture_output=True, env={**environment, **more}, stdin=subprocess.DEVNULL)
 
 
-@pytest.mark.parametrize('name', COMMANDS)
-def test_every_command_has_help_with_examples(name, quietly):
-    """Show arguments, examples, and in a line its exit codes."""
-    done = quietly(name, '--help')
-    assert done.stdout.startswith(f'usage: bellows {name}')
-    assert 'examples:\n' in done.stdout and f'bellows {name}' in done.stdout.split('examples:')[1]
-    assert done.stdout.count('Exit code 0 when done, ') == 1
-    ends = ' '.join(done.stdout.split('Exit code 0')[1].split())
-    found = name in ('identify', 'plan', 'replay', 'toss')
-    assert ('1 if ' in ends) == found
-    assert max(map(len, done.stdout.splitlines())) < 100
-    assert '--json' in done.stdout
+@pytest.mark.parametrize('columns', [80, 120])
+def test_help_teaches(quietly, columns, user_environment):
+    """Each command says what it does, gives examples, and where to read on; nothing is cut."""
+    top = run(user_environment, '--help', COLUMNS=str(columns)).stdout
+    for name, command in app.commands.items():
+        assert command.get_short_help_str(200) in top and not command.short_help
+        done = quietly(name, '--help')
+        assert f'Usage: bellows {name}' in done.stdout and 'Read on: docs/' in done.stdout
+        assert f'\n  bellows {name} ' in done.stdout.partition('For example:')[2]
+        assert ('Exit code 1: ' in done.stdout) == (name in ('identify', 'plan', 'replay', 'toss'))
+        assert '--json' in done.stdout and max(map(len, done.stdout.splitlines())) < 100
+    assert '  130  interrupted' in top and '...' not in top.replace('[ARGS]...', '')
 
 
 def test_help_loads_nothing_heavy(user_environment):
-    """Answer without what takes long to load; one process is asked for all."""
-    lines = [['--help'], ['--version'], *([name, '-h'] for name in COMMANDS)]
+    lines = [['--help'], ['--version'], *([name, '-h'] for name in app.commands)]
     code = f"""
 import sys
 from bellows_ros.cli import main
 for line in {lines!r}:
-    try:
-        sys.exit(main(line))
-    except SystemExit as end:
-        print('exit', end.code, line, [name for name in {HEAVY!r} if name in sys.modules])
+    print('exit', main(line), line, [name for name in {HEAVY!r} if name in sys.modules])
 """
     done = subprocess.run(
         [sys.executable, '-c', code], env=user_environment, capture_output=True, text=True)
@@ -56,62 +61,202 @@ for line in {lines!r}:
 
 
 @pytest.mark.parametrize(('arguments', 'named'), [
-    (['indentify'], "'indentify'.*'identify'"), (['xyz'], "'xyz'.* 'identify'"),
-    (['replay'], 'BAG'), (['simulate', '--out', 'x'], '--motion'),
-    (['replay', 'bag', '--jsn', 'x'], "'--jsn'.*'--json'")])
+    (['indentify'], "'indentify'.*'identify'"), (['xyz'], "'xyz'.*identify"),
+    (['replay'], 'BAG'), (['simulate', '--out', 'x'], '--motion'), ([], 'Commands:'),
+    (['replay', 'bag', '--jsn', 'x'], "'?--jsn'?.*--json"), (['plan', 'x', '--steer', 'y'], 'zvd'),
+    (['identify', 'x', '--set', 'fit.structur=full'], r'fit\.structure'),
+    (['parameters', 'gravty'], 'gravity')])
 def test_a_wrong_command_line_is_explained(arguments, named, bellows):
-    """Say in two lines what is wrong and where help is, and end with 2."""
     done = bellows(*arguments)
     assert (done.returncode, done.stdout) == (2, '')
-    assert re.search(named, done.stderr) and '--help' in done.stderr
-    assert len(done.stderr.splitlines()) == 2
+    assert re.search(named, ' '.join(done.stderr.split()))
+
+
+@pytest.mark.parametrize(('text', 'name', 'value'), [
+    ('package.mass=1e-1', 'package.mass', 0.1),
+    ('package.com=[0, 0, -0.03]', 'package.com', (0.0, 0.0, -0.03)),
+    ('package.com=0,0,-3e-2', 'package.com', (0.0, 0.0, -0.03)),
+    ("topics.tool_twist=''", 'topics.tool_twist', ''), ('topics.tool_pose=/a=b',
+                                                        'topics.tool_pose', '/a=b'),
+    ('frames.package=7', 'frames.package', '7'),
+    ('recording.align_at_rest=True', 'recording.align_at_rest', True),
+    ("bags=['one', two]", 'bags', ('one', 'two'))])
+def test_overrides_are_read_in_the_kind_of_the_parameter(text, name, value):
+    got = parse_override(text)
+    assert got == (name, value) and type(got[1]) is type(value)
+
+
+def test_every_output_is_known_as_one():
+    """Check all options that name what is written."""
+    for command in app.commands.values():
+        for option in command.params:
+            kind = getattr(option.type, 'type', None)
+            is_output = isinstance(kind, type) and issubclass(kind, Output)
+            assert is_output == (option.name in (
+                'out', 'out_cell', 'json', 'plot', 'report', 'write_params', 'mjcf')), option.name
+            assert is_output or isinstance(option.type, click.Path) == (
+                option.metavar in ('FILE', 'PLAN', 'BAG', 'SOURCE...', '[BAG]...', '[NAME]...'))
+
+
+@pytest.mark.parametrize(('words', 'expected'), [
+    ('bellows ', set(app.commands)), ('bellows simulate --mot', {'--motion'}),
+    ('bellows identify --set fit.st', {'fit.structure='}),
+    ('bellows plan p --steer z', {'zv', 'zvd'})])
+def test_what_can_follow_is_offered(words, expected, user_environment):
+    done = run(user_environment, _BELLOWS_COMPLETE='bash_complete', COMP_WORDS=words,
+               COMP_CWORD=str(len(words.split(' ')) - 1))
+    assert expected <= {line.partition(',')[2] for line in done.stdout.splitlines()}, done.stderr
+
+
+@pytest.mark.parametrize(('value', 'error', 'shown'), [
+    (5405.62, 7.04, '5405.6 ± 7.0 N/m'), (5405.62, 0.0, '5405.6 N/m'),
+    (5405.62, float('inf'), 'not identifiable')])
+def test_a_value_is_shown_as_far_as_it_is_known(value, error, shown):
+    assert with_error(value, error, 'N/m') == shown
+    assert column([0.0851, 1.234, 12.5]) == ['0.1', '1.2', '12.5']
 
 
 @pytest.mark.parametrize(('no_colour', 'coloured'), [('', True), ('1', False)])
 def test_colour_on_a_terminal_honours_no_color(no_colour, coloured, user_environment):
-    """Use colour on a terminal, unless NO_COLOR is set and not empty."""
-    pty = pytest.importorskip('pty', reason='no pseudo-terminals here')
+    pytest.importorskip('pty', reason='no pseudo-terminals here')
     code = f"""
 import os, pty, sys
 os.environ.update(TERM='xterm', NO_COLOR={no_colour!r})
-pty.spawn([sys.executable, '-m', 'bellows_ros.cli', 'parameters', 'gravity'])
+pty.spawn([sys.executable, '-m', 'bellows_ros.cli', 'info', 'none'])
 """
-    assert pty
-    done = subprocess.run(
-        [sys.executable, '-c', code], env=user_environment, capture_output=True,
-        stdin=subprocess.DEVNULL,
-    )
-    assert b'gravity' in done.stdout
-    assert (b'\x1b[1m' in done.stdout) == coloured
+    done = subprocess.run([sys.executable, '-c', code], env=user_environment, capture_output=True,
+                          stdin=subprocess.DEVNULL)
+    assert b'none' in done.stdout
+    assert bool(re.search(rb'\x1b\[3\dm', done.stdout)) == coloured
 
 
-def test_a_closed_pipe_is_no_error(root, user_environment):
-    """End quietly when the reader of the output has had enough, as `head` has."""
+def test_a_table_is_whole_in_a_pipe_and_fits_a_terminal(monkeypatch, capsys):
+    rows = [['axis', *(f'column {k}' for k in range(8))], ['x', *('1234.5' for _ in range(8))]]
+    for width in (None, 60):
+        console = Console()
+        if width:
+            console.console = type(console.console)(width=width, force_terminal=True)
+        console.table(rows, title='A table')
+        lines = capsys.readouterr().out.splitlines()
+        assert (len(lines), max(map(len, lines)) > 60) == ((3, True) if not width else (5, False))
+
+
+def test_errors_are_whole_where_they_are_to_be_copied(monkeypatch, capsys):
+    sentence, copied = 'a word ' * 30, f'    name: {"x" * 90}'
+    Console().error(f'{sentence}\n\n/**:\n{copied}')
+    assert capsys.readouterr().err == f'bellows: {sentence}\n\n/**:\n{copied}\n'
+
+
+def test_an_unusual_stream_is_no_error(user_environment, quietly):
+    """End quietly if the reader has had enough, as `head` has; do without special characters."""
     command = f'{sys.executable} -m bellows_ros.cli parameters --yaml | head -n 1'
     done = subprocess.run(
         ['bash', '-c', command], env=user_environment, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, '')
-    assert done.stdout.startswith('#')
+    assert (done.returncode, done.stderr) == (0, '') and done.stdout.startswith('#')
+    assert quietly('parameters', PYTHONIOENCODING='ascii').stdout.isascii()
 
 
-def test_plain_ascii_where_the_output_knows_no_more(quietly):
-    """Do without special characters where the stream has none."""
-    done = quietly('parameters', PYTHONIOENCODING='ascii')
-    assert done.stdout.isascii()
+@pytest.mark.skipif(not os.path.exists('/dev/full'), reason='there is no /dev/full here')
+@pytest.mark.parametrize('option', ['--yaml', '--help'])
+def test_a_full_device_is_one_sentence(option, user_environment):
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(
+            [sys.executable, '-m', 'bellows_ros.cli', 'parameters', option], text=True,
+            env=user_environment, stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 2
+    assert 'No space left on device' in done.stderr and 'Traceback' not in done.stderr
 
 
-def test_every_output_is_known_as_one():
-    """Have all options that name what is written checked: those with FILE, and BAG and NAME."""
-    outputs = {}
-    for command in COMMANDS:
-        parser = argparse.ArgumentParser()
-        add_arguments(parser, command)
-        for action in parser._actions:
-            if action.metavar in ('FILE', 'NAME', 'BAG') and action.type not in (Path, None):
-                assert isinstance(action.type, type) and issubclass(action.type, Output)
-                outputs.setdefault(command, []).append(action.option_strings[0])
-            elif action.metavar in ('FILE', 'BAG'):
-                assert action.type is Path, (command, action)
-    assert outputs['identify'] == ['--out', '--out-cell', '--json', '--report']
-    assert outputs['info'] == ['--write-params', '--json']
-    assert set(COMMANDS) == set(outputs)
+@pytest.mark.parametrize('error', [ZeroDivisionError('a defect'), OSError(22, 'a defect')])
+def test_a_crash_has_its_own_exit_code_and_asks_for_a_report(error, capsys):
+    def work():
+        raise error
+
+    assert guarded(work) == 70
+    *traceback, line = capsys.readouterr().err.splitlines()
+    assert 'Traceback' in traceback[0] and 'a defect' in traceback[-1]
+    assert line.startswith('bellows: This is a defect') and 'please report it' in line
+
+
+@pytest.mark.parametrize('is_new', [True, False])
+def test_progress_stands_on_a_terminal_and_says_that_nothing_is_compiled_yet(
+        is_new, monkeypatch, capsys):
+    monkeypatch.setattr(jit, 'IS_NEW', is_new)
+    for terminal in ('1', ''):
+        monkeypatch.setenv('TTY_COMPATIBLE', terminal)
+        monkeypatch.setenv('FORCE_COLOR', terminal)
+        with Console().progress as progress:
+            progress('fitting', 0.5)
+        said = capsys.readouterr().err
+        assert ('fitting' in said) == bool(terminal) and ('50%' in said) == bool(terminal)
+        assert ('fitting; compiling' in said) == (is_new and bool(terminal))
+
+
+@pytest.mark.parametrize(('number', 'said'), [
+    (signal.SIGTERM, 'Ended by SIGTERM'), (signal.SIGINT, 'Interrupted')])
+def test_a_signal_ends_in_order(number, said, workshop, tmp_path, user_environment):
+    """Say so, end with 128 and its number, and leave what was there; twice is as good as once."""
+    motion = write_yaml(tmp_path / 'long.yaml', {**MOTION, 'duration': 150.0})
+    before, deadline = contents(tmp_path), time.monotonic() + WITHIN
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'bellows_ros.cli', 'simulate', '--params', workshop / 'cup.yaml',
+         '--motion', motion, '--out', tmp_path / 'long'], text=True, env=user_environment,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
+    while not any(tmp_path.glob(f'{PREFIX}*')):
+        assert time.monotonic() < deadline and process.poll() is None, process.communicate()
+        time.sleep(0.002)
+    os.killpg(process.pid, number)
+    os.killpg(process.pid, number)
+    out, err = process.communicate(timeout=WITHIN)
+    assert process.returncode == 128 + number
+    assert out == '' and err == f'{said}; every output file is whole, the old or the new one.\n'
+    assert contents(tmp_path) == before
+
+
+@pytest.fixture
+def handlers():
+    """Restore the handlers of signals."""
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = {number: signal.getsignal(number) for number in numbers}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize('error', [
+    None, SystemError('CPUDispatcher(whiten)'), BellowsError('wrong'), BrokenPipeError(32, 'pipe'),
+    ValueError('a defect'), SystemExit(1), MemoryError()], ids=repr)
+def test_after_a_signal_every_end_is_that_interruption(error, capsys, handlers):
+    """Compiled code turns the exception of a signal into another one; callbacks lose it."""
+    def work():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        if error:
+            raise error
+        return 0
+
+    assert guarded(work) == 143
+    assert 'defect' not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('number', [errno.ENOSPC, errno.EPIPE])
+def test_an_unwritable_stdout_has_one_code(number, monkeypatch, tmp_path):
+    """Neither the code of a negative result nor that of a defect."""
+    class Unwritable(io.RawIOBase):
+
+        def writable(self):
+            return True
+
+        def fileno(self):
+            return file.fileno()
+
+        def write(self, data):
+            raise OSError(number, os.strerror(number))
+
+    with (tmp_path / 'out').open('wb', 0) as file:
+        stream = io.TextIOWrapper(io.BufferedWriter(raw := Unwritable()))
+        monkeypatch.setattr(sys, 'stdout', stream)
+        found = guarded(lambda: print('a result') or 0)
+        monkeypatch.undo()
+        raw.write = len  # what is left in its buffer
+        assert found == (2 if number == errno.ENOSPC else 141)

@@ -1,6 +1,5 @@
 """What a command refuses: it says what is wrong, ends with 2, and changes no file."""
 
-import json
 import shlex
 import shutil
 
@@ -71,9 +70,8 @@ def cell(workshop, identified, tmp_path_factory):
     """Give a folder with a recording, what is known of it, results, and much that is wrong."""
     folder = tmp_path_factory.mktemp('cell')
     shutil.copytree(workshop, folder, dirs_exist_ok=True)
-    known = (folder / 'package.yaml').read_text()
-    (folder / 'bags.yaml').write_text(json.dumps(
-        {**json.loads(known), 'bags': ['recording'], 'static.bags': ['recording']}))
+    write_yaml(folder / 'bags.yaml', {
+        **KNOWN, 'bags': ['recording'], 'static.bags': ['recording']})
     shutil.copy(identified / 'fit.json', folder)
     (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
     (folder / 'link').symlink_to('recording')
@@ -103,7 +101,7 @@ READ = [
 """Outputs that are read."""
 UNWRITABLE = [
     ('IDENTIFY --out no/cup.yaml', "no/cup.yaml'"), ('IDENTIFY --json sources', "'sources'"),
-    ('PLAN transport.yaml --plot plan.txt', '.png, .svg or .pdf'),
+    ('PLAN transport.yaml --plot plan.txt', '.png, .svg, .pdf'),
     ('simulate CUP --motion motion.yaml --out -', "'-'"),
     ('PLAN transport.yaml --steer zv --plot plan.avi', '.gif'),
 ]
@@ -123,7 +121,6 @@ NOT_ALLOWED = [
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: ... 'fit.structure'"),
     ('info recording --from soon', '--from: recording.start'),
     ('PLAN transport.yaml --steer zv --limits safe.yaml', 'cup.lip_radius'),
-    ('replay recording CUP --out camera.yaml', '--observe'),
     ('TOSS --target 1900 150', 'mm'),
     ('TOSS', 'release ... target'),
 ]

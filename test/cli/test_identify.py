@@ -46,7 +46,7 @@ def test_identify_on_two_cores_leaves_out_what_is_bad(succeed, root, tmp_path):
         '--jobs', 2, '--out', cup, '--json', fit, '--report', page, cwd=root)
     assert "'bags/none'" in done.stderr
     assert json.loads(fit.read_text())['failed'][0]['bag'] == 'bags/none'
-    assert cup.exists() and page.read_text().count('<figure') == 4
+    assert cup.exists() and '<svg' in page.read_text()
 
 
 def test_a_page_without_matplotlib_is_refused_before_any_work(bellows, root, monkeypatch):

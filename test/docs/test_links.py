@@ -57,8 +57,8 @@ def test_the_first_page_leads_to_every_page(root):
 
 def test_guides_name_every_command(root):
     """Lead to each command from a page other than the reference."""
-    from bellows_ros.cli import COMMANDS
+    from bellows_ros.cli import app
 
     docs = root / 'docs'
     text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])
-    assert [name for name in COMMANDS if f'bellows {name}' not in text] == []
+    assert [name for name in app.commands if f'bellows {name}' not in text] == []

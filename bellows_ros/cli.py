@@ -1,0 +1,982 @@
+"""
+The command `bellows`: the package from a shell, without ROS.
+
+The commands are functions whose docstring is the help of the command. They import their work when
+called, so that help and completion answer at once, and return an `Outcome`, which is written and
+printed here. `guarded` turns errors and signals into a message and an exit code.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import contextmanager, suppress
+import difflib
+import errno
+from functools import partial
+import inspect
+from io import TextIOWrapper
+import os
+from pathlib import Path
+import signal
+import sys
+import threading
+import time
+import traceback
+from types import SimpleNamespace
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+from bellows_ros.errors import BellowsError, CRASHED, NotSetError, require_pictures, shown
+from bellows_ros.version import __version__
+import click
+from click.shell_completion import CompletionItem, shell_complete
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import FrameType
+
+    from bellows_ros.report.console import Console
+
+OK, NOT_USABLE, USER_ERROR = 0, 1, 2
+EXIT_CODES: Mapping[int, str] = {
+    OK: 'done', NOT_USABLE: 'done, with a negative result; see the command',
+    USER_ERROR: 'error: the message says what to correct; every output file is whole',
+    CRASHED: 'crash: a defect of this package; please report it',
+    130: 'interrupted with Ctrl-C, 143 ended by SIGTERM; every output file is whole'}
+STDOUT = '-'
+"""Name of standard output, as in `files.atomic`."""
+WIDTH = 100
+"""Largest width of help, characters."""
+
+
+class Output(str):
+    """Name of a text file to write, '-' for stdout. Names of input files have the type Path."""
+
+
+class Binary(Output):
+    """The name of a binary file to write."""
+
+
+class Folder(Binary):
+    """The name of a folder to write."""
+
+
+class Outcome(NamedTuple):
+    """
+    Result of a command.
+
+    Parameters
+    ----------
+    show : callable
+        Function that prints the result on a console.
+    result
+        Result for --json and for the picture.
+    succeeded : bool
+        Whether the exit code is 0.
+    then : tuple of str
+        Next steps after a file was written.
+    inputs : sequence of path or None
+        Recordings and plans named in the JSON file with their digests, in addition to the
+        parameter files; None if the result has no inputs, or names them itself.
+    content : mapping or None
+        Content for --json instead of the result.
+    draw : str
+        File for the picture of the result.
+
+    """
+
+    show: Callable[['Console'], None]
+    result: Any = None
+    succeeded: bool = True
+    then: tuple[str, ...] = ()
+    inputs: Sequence[Any] | None = None
+    content: Mapping[str, Any] | None = None
+    draw: str = ''
+
+
+# --------------------------------------------------------------------------------- help and errors
+
+
+class Command(click.Command):
+    """A command whose help has indented lines unchanged, such as examples."""
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the paragraphs of the docstring."""
+        for paragraph in inspect.cleandoc(self.help or '').split('\n\n'):
+            formatter.write_paragraph()
+            if '\n  ' in paragraph:
+                formatter.write(f'{paragraph}\n')
+            else:
+                formatter.write_text(paragraph)
+
+
+class Group(Command, click.Group):
+    """Commands in their order here; a wrong name is answered with the nearest one."""
+
+    command_class = Command
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the commands in the order of their definition."""
+        return [*self.commands]
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """Find a command."""
+        if args and not args[0].startswith('-') and args[0] not in self.commands:
+            near = difflib.get_close_matches(args[0], self.commands, n=1)
+            known = f"Did you mean '{near[0]}'?" if near else (
+                f'Expected: {", ".join(self.commands)}.')
+            ctx.fail(f"'{args[0]}' is not a command. {known}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=Group, context_settings={
+    'help_option_names': ['-h', '--help'], 'max_content_width': WIDTH})
+@click.version_option(__version__, message='bellows %(version)s')
+def app() -> None:
+    """
+    Identify bellows suction cups, and predict the motion of the packages that they hold.
+
+    try it:
+      bellows identify bags/identification --params bags/package.yaml --out cup.yaml
+      bellows replay bags/validation --params bags/package.yaml --params cup.yaml
+
+    Angles are shown in degrees; in files and JSON they are in rad.
+    """
+
+
+app.help = inspect.cleandoc(str(app.help)) + '\n\nexit codes:\n' + '\n'.join(
+    f'  {code:<4} {meaning}' for code, meaning in EXIT_CODES.items())
+
+
+def parameter_names(
+    context: click.Context, argument: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Return the completions of --set."""
+    from bellows_ros.core.parameters.table import PARAMETERS
+
+    return [CompletionItem(f'{name}=', help=parameter.description)
+            for name, parameter in PARAMETERS.items() if name.startswith(incomplete)]
+
+
+def files(*names: str, metavar: str = 'FILE', **settings: Any) -> Any:
+    """Return an option for an input file."""
+    return click.option(*names, type=click.Path(path_type=Path), metavar=metavar, **settings)
+
+
+def output(name: str, kind: type[Output] = Output, metavar: str = 'FILE', **settings: Any) -> Any:
+    """Return an option for an output."""
+    return click.option(
+        name, type=click.Path(path_type=kind), metavar=metavar, default='', **settings)
+
+
+def source(name: str, **settings: Any) -> Any:
+    """Return a positional argument for input files."""
+    return click.argument(name, type=click.Path(path_type=Path), metavar=settings.pop(
+        'metavar', name.upper()), **settings)
+
+
+SET = click.option('--set', 'overrides', multiple=True, metavar='NAME=VALUE',
+                   shell_complete=parameter_names, help=(
+                       "set one parameter, overriding the files; may be repeated. 'bellows "
+                       "parameters' lists all, with units and defaults"))
+PARAMS = files('--params', multiple=True, help=(
+    'parameter file (YAML, as for ROS nodes); may be repeated, later files override earlier ones'))
+FROM = click.option('--from', 'first', metavar='S', default='', help=(
+    'leave out data earlier than this, in s from the start of the data'))
+TO = click.option('--to', 'last', metavar='S', default='', help=(
+    'leave out data later than this, in s from the start of the data'))
+JSON = output('--json', help="write all figures as JSON; '-' for stdout, with the rest on stderr")
+PLOT = output('--plot', kind=Binary, help=(
+    'picture to write (.png, .svg or .pdf); a .gif is an animation'))
+REPORT = output('--report', help='write a page with plots (HTML; extra plot)')
+FORCE = click.option('--force', is_flag=True, help='replace an output that already exists')
+URDF = files('--urdf', help=(
+    'URDF of the arm, if the plan has joint positions; default: /robot_description of the '
+    'recording'))
+LINK = click.option('--tool-link', default='', metavar='LINK', help=(
+    'link of the arm at the tool tip E'))
+TOPIC = click.option('--topic', default='', metavar='TOPIC', help=(
+    'topic of the plan, if the recording has several plans'))
+OUT_BAG = output('--out', kind=Folder, metavar='BAG', help=(
+    'recording to write: the motion, and the package along it'))
+PLAN_OPTIONS = (
+    source('plan'), TOPIC, FROM, TO, URDF, LINK, PARAMS, SET, JSON, PLOT, OUT_BAG, FORCE)
+
+
+def command(
+    *options: Any, name: str = ''
+) -> Callable[[Callable[[Any, 'Console'], Outcome]], click.Command]:
+    """Register a function of options and console as a command of its name."""
+    def register(work: Callable[[Any, 'Console'], Outcome]) -> click.Command:
+        def call(**given: Any) -> int:
+            return run_command(work, SimpleNamespace(command=work.__name__, **given))
+
+        call.__doc__ = work.__doc__
+        for option in reversed(options):
+            call = option(call)
+        return app.command(name or work.__name__)(call)
+
+    return register
+
+
+# ---------------------------------------------------------------------------------------- commands
+
+
+@command(
+    source('bag'), FROM, TO, output('--write-params', help=(
+        'write a parameter file for this recording, for bellows identify and the nodes')),
+    FORCE, JSON)
+def info(arguments: Any, console: 'Console') -> Outcome:
+    """
+    List the topics of a recording, and guess which is the tool.
+
+    Report rates, gaps and jitter, the tool and the package with the reasons, and the checks
+    before a fit. BAG is a rosbag2 folder, or a .mcap or .db3 file.
+
+    For example:
+      bellows info bags/identification
+      bellows info recording --write-params my_cell.yaml    then fill in the package
+      bellows info recording --json - | jq .settings
+
+    Read on: docs/recording.md
+    """
+    from bellows_ros.files.atomic import write_text
+    from bellows_ros.report.printed import cell_file, print_info
+    from bellows_ros.workflows import info as workflow
+
+    require_absent(arguments.write_params, arguments.force)
+    console.progress(f'reading {arguments.bag}')
+    result = workflow.info(arguments.bag, interval_settings(arguments))
+    if arguments.write_params:
+        write_text(arguments.write_params, cell_file(result))
+    cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
+    return Outcome(partial(print_info, result), result, then=(
+        'Fill in the package there, then:',
+        f'  bellows identify --params {arguments.write_params} --out cup.yaml{cell}',
+    ) if arguments.write_params else ())
+
+
+@command(
+    source('bags', nargs=-1, metavar='[BAG]...'), PARAMS, SET, FROM, TO,
+    output('--out', help=(
+        'write the cup as a parameter file, for the predictor and bellows replay')),
+    output('--out-cell', help=(
+        'write cell and package with all estimates (world, marker, latency, centre of mass) as a '
+        'parameter file')),
+    JSON, PLOT, REPORT,
+    click.option('--force', is_flag=True, help=(
+        'also write the cup file of a refused cup; its header says so')),
+    click.option('--jobs', type=int, metavar='N', help=(
+        'read and fit in N processes that keep their recordings, -1 for one per core; unusable '
+        'recordings are then reported and left out')),
+    click.option('--dask', default='', metavar='ADDRESS', help=(
+        'do it on the workers of a Dask scheduler instead (extra dask), for example '
+        'tcp://host:8786; the workers must see the recordings under the same paths')),
+    click.option('--release', is_flag=True, help=(
+        'identify release.* instead, from tosses with the cup given by the parameters; the valve '
+        "is on 'topics.valve'")))
+def identify(arguments: Any, console: 'Console') -> Outcome:
+    """
+    Identify a cup's stiffness K and damping P from recordings.
+
+    The parameter file has the given quantities (the package, the cup's length, the topics), the
+    method, and optional inputs: standstills, recordings for validation. --release identifies,
+    with a given cup, the valve from recordings of tosses.
+
+    For example:
+      bellows identify bags/identification --params bags/package.yaml --out cup.yaml
+      bellows identify first second --params my_cell.yaml --set fit.structure=full
+      bellows identify recordings/* --params my_cell.yaml --jobs -1 --out cup.yaml
+      bellows identify recording --params my_cell.yaml --out cup.yaml --out-cell cell.yaml
+      bellows identify tosses --release --params bags/tossing.yaml --out release.yaml
+
+    Exit code 1: the fit cannot be used.
+
+    Read on: docs/tutorial.md, docs/choosing.md
+    """
+    from bellows_ros.core.geometry.jit import COMPILED, NOT_COMPILED
+    from bellows_ros.report.text import print_identification
+    from bellows_ros.workflows import identify as workflow
+    from bellows_ros.workflows.identification import save
+
+    settings = _identify_settings(arguments, console)
+    if arguments.release:
+        return _identify_release(arguments, settings, console)
+    if not COMPILED and settings.get('fit.method', 'output_error') == 'output_error':
+        console.warn(
+            f'Nothing is compiled, as {NOT_COMPILED}: the fit takes about 15 s for each second '
+            'recorded. Consider fit.method: least_squares.')
+    result = workflow.identify(settings, console.progress, arguments.params, arguments.jobs,
+                               arguments.dask, arguments.force)
+    if arguments.report:
+        from bellows_ros.report.build import write_page
+
+        write_page(result, arguments.report)
+    then, usable = _next_steps(arguments, result), not result.refusals
+    if not (usable or arguments.force and result.fit.usable):
+        arguments.out = arguments.out_cell = ''
+    replaced = _names_in(arguments.out)
+    save(result, arguments.out, '', arguments.force, arguments.out_cell)
+    if lost := replaced - _names_in(arguments.out):
+        console.warn(
+            f'{", ".join(sorted(lost))} of the former {arguments.out} are not in the new one, '
+            'which has the identified cup alone. State them in another file.')
+    return Outcome(partial(print_identification, result), result, usable, then,
+                   draw=arguments.plot)
+
+
+def _identify_settings(arguments: Any, console: 'Console') -> dict[str, Any]:
+    """Return all parameters; outputs that they name are outputs of the command."""
+    values = read_settings(arguments, 'identifier', console if arguments.release else None)
+    if arguments.bags:
+        values['bags'] = tuple(map(str, arguments.bags))
+    for option, name in {
+            'out': 'output.parameters', 'out_cell': 'output.cell', 'json': 'output.json',
+            'report': 'output.report'}.items() if not arguments.release else ():
+        chosen = getattr(arguments, option) or values.get(name, '')
+        values[name] = str(chosen)
+        setattr(arguments, option, Output(chosen))
+    require_outputs(arguments, inputs_of(values))
+    return values
+
+
+def _names_in(path: str) -> set[str]:
+    """Return the names of the parameters in a file; none if there is no such file."""
+    from bellows_ros.files.parameter_files import read_parameters
+
+    with suppress(BellowsError):
+        return {*read_parameters(path)} if path else set()
+    return set()
+
+
+def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
+    """Return the status of the cup, and the next step, as sentences."""
+    out, cell = arguments.out, arguments.out_cell
+    if result.refusals:
+        written = 'written because of --force' if (
+            arguments.force and result.fit.usable) else 'not written'
+        state = f'its file was {written}' if out or cell else 'do not use it'
+        return (f'This cup is refused: {state}.',)
+    if not out:
+        return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
+    lost = ', '.join(name for name in result.found if name != 'cup.length') if not cell else ''
+    given = [cell] if cell else arguments.params
+    params = ''.join(f' --params {file}' for file in (*given, out))
+    observe = f' --observe {result.remappings.get("package/measured", "/tf")}' if cell else ''
+    steps = ['Next, check how well it predicts another recording:',
+             f'  bellows replay BAG{params}{observe}']
+    if lost:
+        steps.insert(0, f'Estimated, but not written: {lost}; give --out-cell cell.yaml to keep '
+                        'them.')
+    return (*steps, *((
+        'Then predict live:',
+        f'  ros2 run bellows_ros predictor --ros-args --params-file {cell} --params-file {out}'
+        + ''.join(f' -r {name}:={topic}' for name, topic in result.remappings.items())
+    ) if cell else ()))
+
+
+def _identify_release(
+    arguments: Any, settings: Mapping[str, Any], console: 'Console'
+) -> Outcome:
+    """Identify the valve and write."""
+    if excluded := [f'--{name}' for name in ('report', 'jobs', 'dask', 'plot')
+                    if getattr(arguments, name)]:
+        raise BellowsError(
+            f'--release cannot be combined with {", ".join(excluded)}. Leave it out.')
+    from bellows_ros.files.parameter_files import write_parameters
+    from bellows_ros.report.printed import print_release
+    from bellows_ros.workflows.toss import identify_release
+
+    result = identify_release(settings, console.progress)
+    if arguments.out:
+        write_parameters(arguments.out, result.parameters())
+    return Outcome(partial(print_release, result), result, inputs=result.bags)
+
+
+@command(
+    source('bag'), PARAMS, SET, FROM, TO, JSON, PLOT, REPORT,
+    click.option('--observe', default='', metavar='TOPIC', help=(
+        'poses of the package from a camera, which correct a second live prediction; see '
+        'measured.*')),
+    click.option('--limit', type=float, metavar='PERCENT', help=(
+        'exit with 1 if the NRMSE of an axis that moves is above this')))
+def replay(arguments: Any, console: 'Console') -> Outcome:
+    """
+    Predict a recording with a cup, and report the errors.
+
+    The prediction uses the motion of the tool alone. The table has the error of the package on
+    each axis, the part due to measurement noise, and the error of the live predictor. Use a
+    recording that the cup was not identified from.
+
+    For example:
+      bellows replay bags/validation --params bags/cup.yaml
+      bellows replay bags/validation --params bags/cup.yaml --report replay.html
+      bellows replay bags/validation --params bags/cup.yaml --observe camera/box
+      bellows replay second --params bags/cup.yaml --limit 5
+
+    Exit code 1: an axis that moves is above --limit; without it, above 5 % and 3 times what noise
+    explains.
+
+    Read on: docs/validation.md, docs/with_a_camera.md
+    """
+    from bellows_ros.core.identification.validation import MAX_NRMSE
+    from bellows_ros.files import atomic
+    from bellows_ros.report.text import print_replay
+    from bellows_ros.workflows import replay as workflow
+
+    settings = read_settings(arguments, cup_for=console)
+    result = workflow.replay(
+        arguments.bag, settings, console.progress, arguments.observe)
+    limit = MAX_NRMSE if arguments.limit is None else arguments.limit / 100.0
+    if arguments.report:
+        from bellows_ros.report.build import replay_page
+
+        atomic.write_text(arguments.report, replay_page(result, arguments.params))
+    failing = result.validation.failing(limit)
+    worse = failing if arguments.limit is not None else result.validation.worse_than_noise
+
+    def show(out: 'Console') -> None:
+        print_replay(result, out, limit)
+        if result.live:
+            out.paragraph(
+                f'The live prediction took {result.live.took:.2f} s, '
+                f'{result.live.real_time_factor:.0f} times faster than real time.')
+
+    return Outcome(show, result, not worse, draw=arguments.plot, content=result.as_json(
+        limit, arguments.params) if arguments.json else {})
+
+
+@command(
+    PARAMS, SET,
+    files('--motion', required=True, help=(
+        'motion file (YAML): the motion of the tool and the tracking; '
+        'config/motion_example.yaml explains every setting')),
+    files('--plan', metavar='PLAN', help=(
+        'move the tool along this plan, as of bellows plan; then only the rest of --motion '
+        'counts')),
+    output('--out', kind=Folder, metavar='BAG', required=True, help='recording to write'),
+    FORCE, JSON)
+def simulate(arguments: Any, console: 'Console') -> Outcome:
+    """
+    Simulate a recording of a given cup.
+
+    The package is held by a known cup while the tool moves. The recording is that of a robot
+    driver and a tracking system, with noise, outliers and dropouts.
+
+    For example:
+      bellows simulate --params bags/cup.yaml --motion config/multisine.yaml --out recording
+      bellows simulate --params bags/cup.yaml --motion bags/static.yaml --out heavy --force
+
+    Read on: docs/recording.md
+    """
+    from bellows_ros.files.safe_yaml import load
+    from bellows_ros.report.printed import print_simulation
+    from bellows_ros.workflows.simulate import simulate_recording
+
+    report = simulate_recording(
+        read_settings(arguments, cup_for=console), load(arguments.motion), arguments.out,
+        console.progress, arguments.force, arguments.plan or '')
+    return Outcome(partial(print_simulation, report), report)
+
+
+@command(
+    source('names', nargs=-1, metavar='[NAME]...'),
+    click.option('--yaml', is_flag=True, help=(
+        'print a parameter file with the defaults, to fill in')),
+    output('--mjcf', help=(
+        'write the cup and the package of --params as a model for MuJoCo (MJCF)')),
+    PARAMS, SET, JSON)
+def parameters(arguments: Any, console: 'Console') -> Outcome:
+    """
+    List all parameters, or write a file to fill in.
+
+    Or write a cup for MuJoCo. The parameters are those of the nodes identifier and predictor, and
+    of --params and --set. A NAME is the beginning of the names to list.
+
+    For example:
+      bellows parameters filter fit
+      bellows parameters --yaml > my_cell.yaml
+      bellows parameters --params cup.yaml --mjcf cup.xml
+
+    Read on: docs/reference/parameters.md
+    """
+    from dataclasses import asdict
+
+    from bellows_ros.core.parameters.table import lookup, PARAMETERS
+    from bellows_ros.report.printed import print_parameters, template
+
+    if arguments.mjcf:
+        return _mjcf(arguments, console)
+    names = tuple(map(str, arguments.names))
+    chosen = [p for p in PARAMETERS.values() if not names or p.name.startswith(names)]
+    for prefix in names:
+        if not any(p.name.startswith(prefix) for p in chosen):
+            lookup(prefix)  # raises, and names the nearest
+    if arguments.yaml:
+        click.echo(template(chosen), nl=False)
+    shown_here = [] if arguments.yaml or arguments.json else chosen
+    return Outcome(partial(print_parameters, shown_here), content={
+        p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen})
+
+
+def _mjcf(arguments: Any, console: 'Console') -> Outcome:
+    """Write the model for MuJoCo, and warn of the properties that it lacks."""
+    from bellows_ros.core.parameters import checks, conversion
+    from bellows_ros.files import atomic, mjcf
+
+    settings = checks.resolve(read_settings(arguments, cup_for=console), checks.PACKAGE_PARAMETERS)
+    text, lacking = mjcf.mjcf(conversion.cup_of(settings), conversion.package_of(settings),
+                              conversion.gravity_of(settings))
+    atomic.write_text(arguments.mjcf, text)
+    if lacking:
+        console.warn(f'The model lacks {", ".join(lacking)}.')
+    return Outcome(lambda out: None, content={'file': arguments.mjcf, 'not_expressed': lacking})
+
+
+@command(
+    *PLAN_OPTIONS,
+    click.option('--fastest', is_flag=True, help=(
+        'find the shortest time in which the safety factor, less two standard deviations, stays '
+        'above safety.least')),
+    click.option('--steer', type=click.Choice(['zv', 'zvd']), help=(
+        'shape the motion for the modes of cup and package at rest, so that the package does not '
+        'swing: it takes longer; zvd is less sensitive to errors in cup and package than zv')),
+    files('--limits', help=(
+        'limits of the arm, of which the used parts are printed; with --steer the motion is '
+        'slowed down until it meets all of them; config/limits_example.yaml explains them')))
+def plan(arguments: Any, console: 'Console') -> Outcome:
+    """
+    Predict the package during a planned motion of the tool.
+
+    Report how firmly the cup holds, how far it bends, how long the package swings afterwards, and
+    the uncertainty of all these. PLAN is a recording with a MultiDOFJointTrajectory, Path or
+    JointTrajectory, with tool poses, joint states or transforms; a YAML file with such a message
+    or with a motion for bellows simulate; or a TUM file.
+
+    For example:
+      bellows plan bags/transport.yaml --params bags/tossing.yaml --fastest
+      bellows plan plan_bag --params bags/cup.yaml --json plan.json --plot plan.png --out predicted
+      bellows plan moveit_bag --params bags/cup.yaml --urdf arm.urdf --tool-link tool0
+      bellows plan bags/transport.yaml --params bags/tossing.yaml --steer zvd --out steered
+
+    Exit code 1: the cup lets go, or --fastest finds no time that is safe.
+
+    Read on: docs/before_it_moves.md
+    """
+    from bellows_ros.report.printed import print_plan, print_steered
+    from bellows_ros.workflows import plan as workflow
+    from bellows_ros.workflows.steer import steer_plan
+
+    values = read_settings(arguments, cup_for=console)
+    console.progress('planning')
+    limits, where = arguments.limits or '', (str(arguments.urdf or ''), arguments.topic)
+    if arguments.steer:
+        if arguments.fastest:
+            raise BellowsError('--fastest is of the plan, not of --steer. Give one of both.')
+        steered = steer_plan(arguments.plan, values, arguments.steer, limits, *where)
+        motion = steered.motions[steered.method]
+        done = Outcome(partial(print_steered, steered), steered)
+        if arguments.out:
+            workflow.write_prediction(arguments.out, steered.source, motion.tool,
+                                      motion.prediction.states, arguments.force)
+    else:
+        report = workflow.plan(arguments.plan, values, *where, arguments.fastest, limits)
+        done = Outcome(partial(print_plan, report), report, report.holds)
+        if arguments.out:
+            workflow.write_prediction(
+                arguments.out, report.source, *report.driven[:2], arguments.force)
+    return done._replace(inputs=[arguments.plan], draw=arguments.plot)
+
+
+@command(
+    *PLAN_OPTIONS,
+    click.option('--release', type=float, metavar='T', help=(
+        'when to switch the valve, in s from the beginning of the plan')),
+    click.option('--target', type=float, nargs=2, metavar='X Y', help=(
+        'find the time of release whose landing is nearest to this point, m in the world')),
+    click.option('--target-rotation', type=float, nargs=4, metavar='QX QY QZ QW', help=(
+        'with --target: also match this orientation (quaternion); an angle counts as the '
+        'distance it moves the farthest corner')))
+def toss(arguments: Any, console: 'Console') -> Outcome:
+    """
+    Predict where a tossed package lands, and how accurately.
+
+    The valve is switched, the cup lets go, the package flies and lands. Report the uncertainty of
+    the landing and the largest contribution to it; or find the time of release for a target.
+    PLAN is a motion as for bellows plan.
+
+    For example:
+      bellows toss bags/throw.yaml --params bags/tossing.yaml --release 3.0
+      bellows toss bags/throw.yaml --params bags/tossing.yaml --target 1.8 0.149 --plot toss.png
+
+    Exit code 1: no release of the plan lands, or none at the target.
+
+    Read on: docs/toss.md
+    """
+    from bellows_ros.report.printed import print_toss
+    from bellows_ros.workflows.toss import toss_plan, write_toss
+
+    result = toss_plan(
+        arguments.plan, read_settings(arguments, cup_for=console), arguments.release,
+        arguments.target, arguments.target_rotation, console.progress,
+        str(arguments.urdf or ''), arguments.topic)
+    if arguments.out:
+        write_toss(arguments.out, result, arguments.force)
+    return Outcome(partial(print_toss, result), result, result.reached, inputs=[arguments.plan],
+                   draw=arguments.plot)
+
+
+@command(
+    source('sources', nargs=-1, required=True, metavar='SOURCE...'),
+    output('--out', kind=Folder, metavar='NAME', required=True, help='recording to write'),
+    click.option('--topic', multiple=True, metavar='TOPIC', help=(
+        'topic for each body, in the same order (default: /NAME/pose)')),
+    click.option('--markers', type=int, default=3, metavar='N', help=(
+        'leave out poses of Motive with fewer visible markers than this (default: 3)')),
+    click.option('--storage', type=click.Choice(['mcap', 'sqlite3']), default='mcap', help=(
+        'storage of the recording')),
+    FORCE, FROM, TO, JSON)
+def convert(arguments: Any, console: 'Console') -> Outcome:
+    """
+    Make a recording from files of Motive or TUM.
+
+    SOURCE is a Motive .csv, with a topic for each rigid body, or a TUM .tum or .txt.
+
+    For example:
+      bellows convert take.csv --out my_recording
+      bellows convert tool.tum box.tum --topic /tool_arm/pose --topic /package/pose --out recorded
+
+    Read on: docs/formats.md
+    """
+    from bellows_ros.report.printed import print_conversion
+    from bellows_ros.workflows import convert as workflow
+
+    console.progress('converting')
+    done = workflow.convert(
+        arguments.sources, arguments.out, arguments.topic, arguments.markers, arguments.storage,
+        arguments.force, interval_settings(arguments))
+    return Outcome(partial(print_conversion, done), done, content=done.as_json(), then=(
+        'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
+
+
+# ------------------------------------------------------------------------------ inputs and outputs
+
+
+def run_command(work: Callable[[Any, 'Console'], Outcome], arguments: Any) -> int:
+    """Check the outputs, work, write --json, print, name the written files; return the code."""
+    from bellows_ros.core import configure_process
+
+    configure_process()
+    from bellows_ros.files import results
+    from bellows_ros.report.console import Console
+
+    require_outputs(arguments)
+    if getattr(arguments, 'plot', ''):
+        from bellows_ros import plots
+
+        plots.require_ending(arguments.plot)
+    if getattr(arguments, 'report', ''):
+        require_pictures()
+    console = Console()
+    with console.asking(), console.progress:
+        done = work(arguments, console)
+        if done.draw:
+            plots.write(done.draw, done.result)
+        if arguments.json:
+            content = done.content or {**results.plain(done.result), 'version': __version__}
+            more: dict[str, Any] = {} if done.inputs is None else {
+                'provenance': results.provenance(done.inputs, arguments.params)}
+            if console.asked and 'warnings' in content:
+                more['warnings'] = [*dict.fromkeys((*console.asked, *content['warnings']))]
+            results.write_json(arguments.json, {**content, **more})
+    written = [value for key, value in sorted(
+        vars(arguments).items(), key=lambda item: item[0] == 'out') if isinstance(value, Output)]
+    if STDOUT in written:
+        console.keep_stdout_free()
+    done.show(console)
+    for line in *(f'Wrote {file}.' for file in written if file not in ('', STDOUT)), *done.then:
+        console.line(line)
+    console.warn(*console.final_warnings)
+    return OK if done.succeeded else NOT_USABLE
+
+
+def require_outputs(arguments: Any, inputs: Sequence[Any] = ()) -> None:
+    """
+    Check every output of a command line against all inputs, before any work.
+
+    Raises
+    ------
+    BellowsError
+        If a folder is missing, a path is not a file, two paths are equal, an output would replace
+        an input or be inside one, or binary output is for stdout.
+
+    """
+    from bellows_ros.files import atomic
+
+    named = [item for value in vars(arguments).values()
+             for item in (value if isinstance(value, tuple) else [value])]
+    read = [*inputs, *(item for item in named if isinstance(item, Path))]
+    outputs = [item for item in named if isinstance(item, Output) and item]
+    to_stdout = [name for name in outputs if name == STDOUT]
+    if len(to_stdout) > 1 or any(isinstance(name, Binary) for name in to_stdout):
+        raise BellowsError(
+            f"'{STDOUT}' is stdout, which has room for one output, of text: {len(to_stdout)} are "
+            'given. Give the others, and recordings and pictures, a name.')
+    targets = list[Path]()
+    for name in outputs:
+        if name == STDOUT:
+            continue
+        atomic.require_no_input(name, read)
+        if isinstance(name, Folder) and os.path.isdir(name):
+            require_absent(name, arguments.force)
+        target = Path(os.path.realpath((
+            atomic.require_folder_target if isinstance(name, Folder) else
+            atomic.require_file_target)(name)))
+        for other in targets:
+            if target == other or other in target.parents or target in other.parents:
+                raise BellowsError(
+                    f"Two outputs have the same name, or one is in the other: '{target}'. Rename "
+                    'one.')
+        targets.append(target)
+
+
+def require_absent(name: str, force: bool) -> None:
+    """Raise for an output that exists, unless it may be replaced."""
+    if name and os.path.exists(name) and not force:
+        raise BellowsError(
+            f"Output '{name}' exists. Give another name, or replace it with --force; what it "
+            'holds is then lost.')
+
+
+def read_settings(
+    arguments: Any, node: str | None = None, cup_for: 'Console | None' = None
+) -> dict[str, Any]:
+    """
+    Return the parameters of the files, overridden by the command line.
+
+    Parameters
+    ----------
+    arguments : namespace
+        `params`, files of which later ones override earlier ones; `overrides`, each 'name=value';
+        `first` and `last` of an interval, and `tool_link`, if any.
+    node : str, optional
+        Node whose part of a file is used.
+    cup_for : Console, optional
+        Console that warns at the end if there is no cup.
+
+    Raises
+    ------
+    BellowsError
+        If a file cannot be read, a name or value is invalid, or an output of the command line is
+        also an input by a parameter.
+
+    """
+    from bellows_ros.files.parameter_files import read_parameters
+
+    values: dict[str, Any] = {}
+    for file in arguments.params:
+        values.update(read_parameters(file, node))
+    values |= dict(map(parse_override, arguments.overrides)) | interval_settings(arguments)
+    if link := getattr(arguments, 'tool_link', ''):
+        values['tool_link'] = link
+    require_outputs(arguments, inputs_of(values))
+    if cup_for and 'cup.stiffness' not in values:
+        cup_for.final_warnings.append(
+            'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).')
+    return values
+
+
+def inputs_of(values: Mapping[str, Any]) -> list[str]:
+    """Return the input files that parameters name."""
+    return [file for name in (
+        'bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
+        for file in values.get(name, ())]
+
+
+def interval_settings(arguments: Any) -> dict[str, Any]:
+    """Return the parameters that --from and --to set."""
+    return dict(parse_override(f'{name}={text}', option) for option, name, text in (
+        ('--from', 'recording.start', getattr(arguments, 'first', '')),
+        ('--to', 'recording.end', getattr(arguments, 'last', ''))) if text)
+
+
+def parse_override(text: str, option: str = '') -> tuple[str, Any]:
+    """
+    Return name and checked value of 'name=value', from --set or another option.
+
+    Lists are written as in YAML or without brackets: `package.com=[0, 0, -0.03]` or
+    `package.com=0,0,-0.03`.
+
+    Raises
+    ------
+    BellowsError
+        If there is no '=', or name or value are invalid.
+
+    """
+    from bellows_ros.core.parameters import checks, table
+
+    name, equals, value = (part.strip() for part in text.partition('='))
+    if not (name and equals):
+        raise BellowsError(
+            f"--set takes NAME=VALUE, got '{text}'. For example: --set fit.structure=full")
+    try:
+        parameter = table.lookup(name)
+        return parameter.name, checks.validate(name, _parsed(parameter.kind, value))
+    except BellowsError as error:
+        raise BellowsError(f'{option or f"--set {name}"}: {error}') from None
+
+
+def _parsed(kind: str, text: str) -> object:
+    """Return a value of a parameter's kind, or the text itself if invalid."""
+    if kind == 'bool':
+        return {'true': True, 'false': False}.get(text.lower(), text)
+    if kind.endswith('_array'):
+        kind = kind.removesuffix('_array')
+        items = text.removeprefix('[').removesuffix(']')
+        return [_parsed(kind, item.strip()) for item in (
+            items.split(',') if kind == 'string' else items.replace(',', ' ').split())
+            if item.strip()]
+    if kind == 'string':
+        quoted = len(text) >= 2 and text[0] == text[-1] and text[0] in '\'"'
+        return text[1:-1] if quoted else text
+    for number in (int, float):
+        with suppress(ValueError):
+            return number(text)
+    return text
+
+
+# -------------------------------------------------------------------------- exit codes and signals
+
+
+class Stopped(KeyboardInterrupt):
+    """
+    Exception for a received signal.
+
+    It is a subclass, since CPython ends a process with -SIGINT, regardless of its exit code, if
+    KeyboardInterrupt itself passes through an exec(), as in the definition of a dataclass.
+    """
+
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+TWICE = 0.5
+"""Time within which two signals count as one, s: both often come, and one cleanup is enough."""
+
+UNWRITABLE = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EPIPE))
+"""Errors of a stream that cannot be written; errors of files are a BellowsError."""
+
+
+@contextmanager
+def stopped_by_signals() -> 'Iterator[list[int]]':
+    """Raise `Stopped` at a signal, so that temporary files are removed; give the signals."""
+    received, last = list[int](), -TWICE
+
+    def stop(number: int, frame: 'FrameType | None') -> None:
+        nonlocal last
+        received.append(number)
+        before, last = last, time.monotonic()
+        if last - before > TWICE:
+            raise Stopped
+
+    handled = [number for number in STOP_SIGNALS if signal.getsignal(number) in (
+        signal.SIG_DFL, signal.default_int_handler)] if (
+            threading.current_thread() is threading.main_thread()) else []
+    previous = {number: signal.signal(number, stop) for number in handled}
+    try:
+        yield received
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, signal.SIG_IGN if received else handler)
+
+
+def guarded(work: Callable[[], int]) -> int:
+    """
+    Do some work; return the exit code, with a message for an error or a signal.
+
+    After a signal every exception counts as this interruption, because compiled code converts it
+    to other exceptions, and an exception in a callback of a library is lost.
+    """
+    if isinstance(sys.stdout, TextIOWrapper):  # for characters outside the encoding, as stderr
+        sys.stdout.reconfigure(errors='backslashreplace')
+    with stopped_by_signals() as received:
+        try:
+            code = work()
+            sys.stdout.flush()  # now, as an error at the very end could not be reported
+        except BaseException as error:  # noqa: B902, BLE001 (of compiled code too)
+            if not (received or isinstance(error, KeyboardInterrupt)):
+                return _code_of(error)
+            received.append(signal.SIGINT)
+    if not received:
+        return code
+    how = 'Interrupted' if received[0] == signal.SIGINT else (
+        f'Ended by {signal.Signals(received[0]).name}')
+    _say(f'{how}; every output file is whole, the old or the new one.')
+    return 128 + received[0]
+
+
+def _code_of(error: BaseException) -> int:
+    """Print an error; return its exit code."""
+    if isinstance(error, click.exceptions.Exit):
+        return error.exit_code
+    if isinstance(error, click.UsageError):
+        path = error.ctx.command_path if error.ctx else 'bellows'
+        _say(f'{path}: {error.format_message()}\nSee {path} --help.')
+        return USER_ERROR
+    if isinstance(error, OSError) and error.errno in UNWRITABLE:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # also at the very end
+        if isinstance(error, BrokenPipeError):  # the reader of the output has closed it
+            return 141  # exit code of SIGPIPE in a shell
+        _say(f'bellows: The output cannot be written: {error.strerror}. Write elsewhere.')
+        return USER_ERROR
+    if not isinstance(error, Exception):
+        raise error
+    jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
+    damaged = jit and jit.damage(error)
+    if isinstance(error, BellowsError) or damaged:
+        from bellows_ros.report.console import Console
+
+        Console().error(damaged or str(error))
+        if isinstance(error, NotSetError):
+            _say('Give the file with --params FILE, or a value with --set NAME=VALUE.')
+        return USER_ERROR if damaged else error.exit_code  # type: ignore[attr-defined]
+    traceback.print_exception(error)
+    _say(f'bellows: This is a defect of bellows_ros {__version__}: please report it, with the '
+         'command and the lines above.')
+    return CRASHED
+
+
+def _say(text: str) -> None:
+    """Print a message with words of the command line on stderr, if it can be written."""
+    with suppress(OSError):
+        click.echo(shown(text, 2500, '\n'), err=True)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """
+    Run the command line.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        Command line; default: the arguments of this process.
+
+    Returns
+    -------
+    int
+        The exit code, of `EXIT_CODES`.
+
+    """
+    words = list(sys.argv[1:] if args is None else args)
+    if instruction := os.environ.get('_BELLOWS_COMPLETE'):
+        return shell_complete(app, {}, 'bellows', '_BELLOWS_COMPLETE', instruction)
+    return guarded(partial(_run, words))
+
+
+def _run(words: list[str]) -> int:
+    """Run the named command, or print the help."""
+    if not words:
+        with click.Context(app, info_name='bellows') as context:
+            click.echo(app.get_help(context), err=True)
+        return USER_ERROR
+    with app.make_context('bellows', words) as context:
+        return int(app.invoke(context))
+
+
+if __name__ == '__main__':
+    sys.exit(main())
