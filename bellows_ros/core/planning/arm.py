@@ -185,103 +185,101 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
 
     """
     robot = _robot(urdf)
-    by_child = {_link(joint, 'child'): joint for joint in robot.findall('joint')}
-    links = [link.get('name', '') for link in robot.findall('link')]
-    if tool_link not in links:
-        match = get_close_matches(tool_link, links, n=1)
-        raise BellowsError(
-            f"tool_link '{shown(tool_link)}' is not in the URDF. "
-            + (f"Did you mean '{shown(match[0])}'?" if match else
-               f'There are: {shown(", ".join(links[:20]), 300)}.'))
-    chain, link = list[ElementTree.Element](), tool_link
-    while link in by_child:
-        if len(chain) > len(by_child):
-            raise BellowsError(f"The URDF has a circle of joints at the link '{shown(link)}'.")
-        chain.append(by_child[link])
-        link = _link(by_child[link], 'parent')
+    by_child = {_attribute(joint, 'child', 'link'): joint for joint in robot.findall('joint')}
     by_name = {joint.get('name', ''): joint for joint in robot.findall('joint')}
-    require_names((link, *(each.get('name', '') for each in chain)), 'the URDF')
+    chain, link = list[ElementTree.Element](), tool_link
+    while link in by_child and len(chain) <= len(by_child):
+        chain.append(by_child[link])
+        link = _attribute(by_child[link], 'parent', 'link')
+    names = (link, *(each.get('name', '') for each in chain))
+    if len(chain) > len(by_child) or not all(names):
+        raise BellowsError(
+            f"The URDF has a joint without a name or parent, or a circle of joints, at '"
+            f"{shown(link)}' on the way to the tool; expected a tree of named joints.")
+    require_names(names, 'the URDF')
     arm = Arm(link, tool_link, tuple(_joint(each, by_name) for each in reversed(chain)))
     if not arm.moving:
+        match = get_close_matches(tool_link, by_child, n=1)
         raise BellowsError(
-            f"No joint of the URDF moves tool_link '{tool_link}'; expected the link at the tool "
-            f'tip. Links that joints carry: {shown(", ".join(list(by_child)[:20]), 300)}.')
+            f"No joint of the URDF moves tool_link '{shown(tool_link)}'; expected the link at the "
+            'tool tip. ' + (f"Did you mean '{shown(match[0])}'?" if match else
+                            f'Joints carry {shown(", ".join(list(by_child)[:20]), 300)}.'))
     return arm
 
 
 def _robot(urdf: str) -> ElementTree.Element:
     """Return the root of a URDF; entity definitions raise, as they may expand without bound."""
-    if len(urdf) > MAX_URDF_SIZE or '<!ENTITY' in urdf:
-        raise BellowsError(
-            f'The URDF is larger than {MAX_URDF_SIZE} characters or defines entities; expected '
-            'plain XML, as xacro writes it.')
+    reason = 'larger than 10 MB, or with entities' if (
+        len(urdf) > MAX_URDF_SIZE or '<!ENTITY' in urdf) else ''
     try:
-        robot = ElementTree.fromstring(urdf)
+        robot = ElementTree.fromstring('<none/>' if reason else urdf)
     except ElementTree.ParseError as error:
-        raise BellowsError(f'The URDF is not XML: {error}. If it is a xacro file, run xacro '
-                           'first.') from None
+        robot, reason = ElementTree.Element('none'), str(error)
     if robot.tag != 'robot':
-        raise BellowsError(f'A URDF starts with <robot>, this one with <{shown(robot.tag)}>.')
+        raise BellowsError(
+            f'The URDF cannot be read: {reason or f"it starts with <{shown(robot.tag)}>"}. '
+            'Expected XML that starts with <robot>, as xacro writes it.')
     return robot
 
 
-def _link(joint: ElementTree.Element, role: str) -> str:
-    if not (name := _attributes(joint, role).get('link', '')):
-        raise BellowsError(
-            f"Joint '{shown(joint.get('name', ''))}' of the URDF has no {role} link.")
-    return name
-
-
-def _attributes(joint: ElementTree.Element, tag: str) -> Mapping[str, str]:
-    """Return the attributes of a joint's element, empty without the element."""
+def _attribute(joint: ElementTree.Element, tag: str, name: str, default: str = '') -> str:
+    """Return an attribute of an element of a joint."""
     element = joint.find(tag)
-    return {} if element is None else element.attrib
+    return default if element is None else element.get(name, default)
 
 
 def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Element]) -> Joint:
     """Return a joint of the chain, with the limits of the mimicked joint, if any."""
     name, kind = element.get('name', ''), element.get('type', '')
     if kind not in ('fixed', *TURNING, 'prismatic'):
-        raise BellowsError(
-            f"Joint '{shown(name)}' on the way to the tool is {shown(kind) or 'of no kind'}; "
-            'fixed, revolute, continuous and prismatic joints can be followed.')
-    mimic, drive, ratio, offset = element.find('mimic'), '', 1.0, 0.0
-    if mimic is not None and kind != 'fixed':
-        drive = mimic.get('joint', '')
+        raise _error(name, f'is {shown(kind) or "of no kind"}',
+                     'fixed, revolute, continuous or prismatic')
+    drive, ratio, offset = '', 1.0, 0.0
+    if element.find('mimic') is not None and kind != 'fixed':
+        drive = _attribute(element, 'mimic', 'joint')
         if drive not in by_name or by_name[drive].find('mimic') is not None:
-            raise BellowsError(
-                f"Joint '{shown(name)}' on the way to the tool mimics '{shown(drive)}'; expected "
-                'a joint of the URDF that mimics no other. Name the joint that is driven.')
-        ratio, offset = (float(_numbers(name, f'mimic {key}', mimic.get(key, default), 1)[0])
-                         for key, default in (('multiplier', '1'), ('offset', '0')))
-    origin = _attributes(element, 'origin')
-    limit = _attributes(by_name[drive] if drive else element, 'limit')
-    axis = _numbers(name, 'axis', _attributes(element, 'axis').get('xyz', '1 0 0'))
+            raise _error(name, f"mimics '{shown(drive)}'", 'a joint that mimics no other')
+        ratio = _number(name, element, 'mimic', 'multiplier', 1.0)
+        offset = _number(name, element, 'mimic', 'offset', 0.0)
+    axis = _numbers(name, element, 'axis', 'xyz', '1 0 0')
     length = float(np.linalg.norm(axis))
     if kind != 'fixed' and not length > 0.0:
-        raise BellowsError(f"Joint '{shown(name)}' of the URDF has an axis of zero length.")
+        raise _error(name, 'has an axis of zero length', 'a direction')
     pose = lie.transform(
-        lie.rpy_rotation(_numbers(name, 'rpy', origin.get('rpy', '0 0 0'))),
-        _numbers(name, 'xyz', origin.get('xyz', '0 0 0')))
-    unlimited = not limit or kind == 'continuous'
-    ends = [-math.inf, math.inf, math.inf] if unlimited else [0.0, 0.0, math.inf]  # as in URDF
-    for i, key in enumerate(('lower', 'upper', 'velocity')):
-        if key in limit and not (kind == 'continuous' and i < 2):
-            ends[i] = float(_numbers(name, f'limit {key}', limit[key], 1)[0])
-    return Joint(name, kind, pose, axis / (length or 1.0), ends[0], ends[1], ends[2], drive, ratio,
-                 offset)
+        lie.rpy_rotation(_numbers(name, element, 'origin', 'rpy', '0 0 0')),
+        _numbers(name, element, 'origin', 'xyz', '0 0 0'))
+    limits = by_name[drive] if drive else element
+    bounded = kind != 'continuous' and limits.find('limit') is not None  # 0 by default, as in URDF
+    lower, upper = (_number(name, limits, 'limit', key, 0.0) if bounded else end
+                    for key, end in (('lower', -math.inf), ('upper', math.inf)))
+    return Joint(name, kind, pose, axis / (length or 1.0), lower, upper,
+                 _number(name, limits, 'limit', 'velocity', math.inf), drive, ratio, offset)
 
 
-def _numbers(name: str, what: str, text: str, count: int = 3) -> Array:
-    """Return the numbers in an attribute."""
+def _number(
+    name: str, joint: ElementTree.Element, tag: str, attribute: str, default: float
+) -> float:
+    """Return a number of a joint."""
+    return float(_numbers(name, joint, tag, attribute, str(default), 1, math.inf)[0])
+
+
+def _numbers(
+    name: str, joint: ElementTree.Element, tag: str, attribute: str, default: str, count: int = 3,
+    largest: float = MAX_NUMBER,
+) -> Array:
+    """Return numbers of a joint, no larger than a bound: limits may be infinite in effect."""
+    text = _attribute(joint, tag, attribute, default)
     try:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:
         numbers = np.array([])
-    largest = math.inf if count == 1 else MAX_NUMBER  # limits may be practically infinite
-    if numbers.shape != (count,) or not (np.abs(numbers) < largest).all():
-        wanted = 'a number' if count == 1 else 'three numbers'
-        raise BellowsError(
-            f"Joint '{shown(name)}' of the URDF: {what} must be {wanted}, got "
-            f"'{shown(text, 60)}'.")
+    if numbers.shape != (count,) or not (np.abs(numbers) <= largest).all():
+        raise _error(name, f"has {tag} {attribute} '{shown(text, 60)}'",
+                     'one number' if count == 1 else 'three numbers')
     return numbers
+
+
+def _error(name: str, fact: str, expected: str) -> BellowsError:
+    """Return the error for a joint that cannot be followed."""
+    return BellowsError(
+        f"Joint '{shown(name)}' of the URDF {fact}; expected {expected} on the way to the tool.")
