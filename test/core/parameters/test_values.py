@@ -26,12 +26,6 @@ def test_a_parameter_without_a_value_names_itself():
     assert 'package.inertia' not in VALUES
 
 
-def test_replaced_values_leave_the_others():
-    heavier = VALUES.replaced({'package.mass': 2.5})
-    assert (heavier.package.mass, VALUES.package.mass) == (2.5, 1.8)
-    assert heavier.cup.length == VALUES.cup.length and heavier != VALUES
-
-
 def test_values_reach_other_processes():
     copy = pickle.loads(pickle.dumps(VALUES))
     assert copy == VALUES and copy.filter.tool.order == VALUES.filter.tool.order

@@ -132,17 +132,3 @@ def test_twists_are_in_the_axes_that_were_asked_for(world):
         seen = exp_so3(marker).T
         assert_allclose(apply(R_T, twists[:, :3]), truth.twist[:, :3] @ seen.T, atol=1e-13)
         assert_allclose(apply(R_T, twists[:, 3:]), truth.twist[:, 3:] @ seen.T, atol=1e-13)
-
-
-def test_twist_noise_and_gaps():
-    sensor = Sensor('tool', 500.0, dropouts=Faults(3, 0.1))
-    plan = plan_of(sensor)
-    truth = tumbling(plan.sampled_ns)
-    exact = sensing.measure_twists(truth, TwistSensor(), np.zeros(3), plan, Z_UP, draw())
-    sensor = TwistSensor('world', 2e-3, 5e-3)
-    noisy = sensing.measure_twists(truth, sensor, np.zeros(3), plan, Z_UP, draw())
-    count = len(noisy)
-    assert count == 10_001 - 150
-    within = 5.0 / np.sqrt(2.0 * count)
-    assert_allclose((noisy - exact)[:, :3].std(0), 2e-3, rtol=within)
-    assert_allclose((noisy - exact)[:, 3:].std(0), 5e-3, rtol=within)
