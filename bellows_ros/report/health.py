@@ -9,6 +9,8 @@ OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 from collections import deque
 from collections.abc import Mapping
 import math
+from pathlib import Path
+import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -20,7 +22,6 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files import messages
 from bellows_ros.report import findings
-from bellows_ros.report.sentences import texts
 import numpy as np
 
 WINDOW_LENGTH = 2048
@@ -30,8 +31,8 @@ MAX_AGE = 1.0
 """Largest absolute age of a message on the node's clock, s; larger ages mean another clock."""
 
 REASONS: Mapping[str, str] = {**messages.REASONS, **{
-    code.partition('.')[2]: text.format(gap=LONGEST_GAP_NS / NS_PER_S)
-    for code, text in texts('live').items()}}
+    code: text.format(gap=LONGEST_GAP_NS / NS_PER_S) for code, text in tomllib.loads(
+        Path(__file__).with_name('reasons.toml').read_text(encoding='utf-8')).items()}}
 """Reasons for rejecting a message or for a restart, in words."""
 
 

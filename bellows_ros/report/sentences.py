@@ -1,9 +1,8 @@
 """
-Sentences of findings, warnings and verdicts, from codes and numbers in SI units.
+Sentences from format strings and numbers in SI units.
 
-`texts/ROOM.toml` has the sentences of a room by code. A sentence is a format string; a format may
-end with a unit of `SENTENCE_UNITS`, which is printed after the number, or with `# noun` for a
-count:
+A format may end with a unit of `SENTENCE_UNITS`, which is printed after the number, or with
+`# noun` for a count:
 
     shift = "Topic '{topic}' jumps by {shift:.1f mm} and {rotation:.2g deg}, {count:# time}."
 
@@ -12,16 +11,11 @@ become 'a, b and c'; None and numbers that are not finite become '-'.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 import math
-from pathlib import Path
 from string import Formatter
-import tomllib
 from typing import Any
 
 from bellows_ros.errors import shown
-
-TEXTS = Path(__file__).with_name('texts')
 
 SENTENCE_UNITS: Mapping[str, tuple[float, str]] = {
     'mm': (1e3, 'mm'), 'um': (1e6, 'um'), 'mm/s': (1e3, 'mm/s'), 'ms': (1e3, 'ms'),
@@ -34,28 +28,6 @@ MAX_LISTED = 5
 
 MAX_TEXT = 200
 """Longest text within a sentence, characters."""
-
-
-def sentence(room: str, code: str, **numbers: Any) -> str:
-    """
-    Return the sentence of a code.
-
-    Parameters
-    ----------
-    room : str
-        Name of a file in `texts/`.
-    code : str
-        Key in the file, or `table.key` for a table in it.
-    **numbers : float, str, sequence or None
-        Values of the sentence's fields, in SI units.
-
-    Raises
-    ------
-    KeyError
-        If the code or a field is unknown.
-
-    """
-    return formatted(texts(room)[code], **numbers)
 
 
 def formatted(text: str, /, **numbers: Any) -> str:
@@ -73,18 +45,6 @@ def listed(items: Sequence[str]) -> str:
 def many(count: int, noun: str) -> str:
     """Return a count with its noun."""
     return f'{count} {noun}{"" if count == 1 else "s"}'
-
-
-@cache
-def texts(room: str) -> Mapping[str, str]:
-    """Return the sentences of a room by code."""
-    return dict(_flat('', tomllib.loads((TEXTS / f'{room}.toml').read_text(encoding='utf-8'))))
-
-
-def _flat(inside: str, table: Mapping[str, Any]) -> list[tuple[str, str]]:
-    return [entry for key, value in table.items() for entry in (
-        _flat(f'{inside}{key}.', value) if isinstance(value, dict)
-        else [(f'{inside}{key}', value)])]
 
 
 class _Sentence(Formatter):

@@ -1,20 +1,10 @@
-"""Sentences: each code has one, numbers have their unit, foreign text is shown safely."""
-
+"""Sentences: numbers have their unit, foreign text is shown safely."""
 
 from bellows_ros.errors import shown
 from bellows_ros.report import sentences
+from bellows_ros.report.sentences import formatted
 import numpy as np
 import pytest
-
-
-@pytest.fixture
-def room(monkeypatch):
-    """Give a function that makes a sentence of a template and numbers."""
-    def made(template, **numbers):
-        monkeypatch.setattr(sentences, 'texts', lambda room: {'code': template})
-        return sentences.sentence('any', 'code', **numbers)
-
-    return made
 
 
 @pytest.mark.parametrize('template, number, expected', [
@@ -26,15 +16,15 @@ def room(monkeypatch):
     ('{x:.0f mm}', [0.001, 0.002, 0.003], '1 mm, 2 mm and 3 mm'),
     ('{x}', ('K z', 'K x'), 'K z and K x'), ('{x}', list('abcdefgh'), 'a, b, c, d, e and 3 more'),
 ])
-def test_a_number_is_shown_in_the_unit_of_its_sentence(room, template, number, expected):
+def test_a_number_is_shown_in_the_unit_of_its_sentence(template, number, expected):
     """Take SI units."""
-    assert room(template, x=number) == expected
+    assert formatted(template, x=number) == expected
 
 
-def test_a_foreign_name_cannot_control_the_terminal(room):
+def test_a_foreign_name_cannot_control_the_terminal():
     """Escape the name, and only the name."""
-    assert room("'{name}' is lost.", name='\x1b[2J\n\udce9') == "'\\x1b[2J\\n\\udce9' is lost."
-    assert len(room('{name}', name='a' * 10_000)) == sentences.MAX_TEXT
+    assert formatted("'{x}' is lost.", x='\x1b[2J\n\udce9') == "'\\x1b[2J\\n\\udce9' is lost."
+    assert len(formatted('{name}', name='a' * 10_000)) == sentences.MAX_TEXT
 
 
 @pytest.mark.parametrize('text', [
