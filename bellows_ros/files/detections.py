@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.core.sensors.camera import (
     ANY,
     Camera,
@@ -208,21 +207,15 @@ def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:
 def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> CornerViews:
     """Return the usable views, and the indices of the unusable ones by reason."""
     refused = dict(views.refused)
-    tests: dict[str, Mask] = {
-        'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~tags_shown(views.corners)[0]}
-    kept = np.arange(len(views.stamps_ns))
-    for reason, bad in tests.items():
-        if bad[kept].any():
-            refused[reason] = tuple(places[kept[bad[kept]]].tolist())
-        kept = kept[~bad[kept]]
-    wrong = unusable_stamps(views.stamps_ns[kept], arrivals[kept])
-    refused |= {reason: tuple(places[kept[bad]].tolist()) for reason, bad in wrong.items()
-                if bad.any()}
-    kept = kept[~np.logical_or.reduce(list(wrong.values()))]
+    kept = messages.refuse(refused, places, {
+        'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~tags_shown(views.corners)[0]})
+    at = np.searchsorted(places, kept)
+    kept = messages.refuse(refused, kept, unusable_stamps(views.stamps_ns[at], arrivals[at]))
+    at = np.searchsorted(places, kept)
     if not len(kept):
         raise BellowsError(
             f"Topic '{views.name}' in recording '{Path(path)}' has no usable view of tag "
             f'{views.tag_id}: {messages.describe(refused)}. Check the camera, and record '
             'again.')
-    return replace(views, stamps_ns=views.stamps_ns[kept], corners=views.corners[kept],
+    return replace(views, stamps_ns=views.stamps_ns[at], corners=views.corners[at],
                    refused=refused)

@@ -422,26 +422,25 @@ def _drop_invalid(
         'nan': ~finite,
         'out_of_range': finite & (np.abs(lengths) > 1e6).any(axis=1),
         **unusable}
-    usable = np.arange(len(decoded))
     refused: Refused = {}
-    for reason, bad in tests.items():
-        usable = _drop(refused, reason, usable, bad[usable])
+    usable = refuse(refused, np.arange(len(decoded)), tests)
     # The frame of most messages; the first one if tied.
     frame = int(np.argmax(np.bincount(decoded['frame'][usable]))) if len(usable) else 0
-    usable = _drop(refused, 'frame_id', usable, decoded['frame'][usable] != frame)
+    usable = refuse(refused, usable, {'frame_id': decoded['frame'][usable] != frame})
     again = np.zeros(len(usable), dtype=bool)
     again[1:] = (np.diff(decoded['stamp'][usable]) == 0) & (
         values[usable[1:]] == values[usable[:-1]]).all(axis=1)
-    usable = _drop(refused, 'copy', usable, again)
-    of_stamps = unusable_stamps(decoded['stamp'][usable], decoded['arrival'][usable])
-    for reason, bad in of_stamps.items():
-        _drop(refused, reason, usable, bad)
-    usable = usable[~np.logical_or.reduce(list(of_stamps.values()))]
+    usable = refuse(refused, usable, {'copy': again})
+    usable = refuse(refused, usable, unusable_stamps(
+        decoded['stamp'][usable], decoded['arrival'][usable]))
     return usable, frames[frame] if len(usable) else ('',), refused
 
 
-def _drop(refused: Refused, reason: str, usable: Stamps, bad: Mask) -> Stamps:
-    """Add some messages to the rejections, and return the remaining usable ones."""
-    if bad.any():
-        refused[reason] = tuple(usable[bad].tolist())
-    return usable[~bad]
+def refuse(refused: Refused, indices: Stamps, tests: Mapping[str, Mask]) -> Stamps:
+    """Add messages to the rejections, each by the first test that it fails; return the others."""
+    good = np.ones(len(indices), dtype=bool)
+    for reason, bad in tests.items():
+        if (bad & good).any():
+            refused[reason] = tuple(indices[bad & good].tolist())
+        good &= ~bad
+    return indices[good]
