@@ -2,7 +2,7 @@
 
 from contextlib import nullcontext
 
-from bellows_ros.core.model.cup_package import box_inertia, Cup
+from bellows_ros.core.model.cup_package import box_inertia
 from bellows_ros.core.model.structure import check_inertia
 from bellows_ros.core.parameters.checks import implausible, resolve
 from bellows_ros.core.parameters.conversion import package_of
@@ -42,11 +42,3 @@ def test_an_inertia_impossible_within_its_uncertainty_becomes_the_nearest(larges
         assert_allclose(second[2], 1e-4 * second[0])
         assert_allclose(np.diag(found), values['package.inertia'][:3], rtol=0.08)
     assert any('nearest' in each for each in implausible(values))
-
-
-def test_the_cup_of_the_thesis_has_its_numbers():
-    """Equations 4.78 and 4.79, and the length of chapter 3."""
-    cup = Cup.thesis()
-    assert cup.length == 0.0481
-    assert_allclose(cup.stiffness, np.diag([6417.0, 6417.0, 11530.0, 3.868, 3.868, 1.123]))
-    assert_allclose(cup.damping, np.diag([66.06, 66.06, 22.35, 0.05458, 0.05458, 0.09736]))

@@ -22,7 +22,6 @@ from bellows_ros.core.model.kernels import (
     with_strains,
 )
 from bellows_ros.core.model.simulation import simulate, state_row
-from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -177,13 +176,6 @@ def test_both_ports_agree():
     assert_allclose(np.hstack([f, m]), -adjoint(H).T @ np.hstack([g, n]), rtol=1e-11)
 
 
-@pytest.mark.parametrize('none', [
-    {'relaxation': (0.0, 0.0), 'relaxation_times': (0.01, 0.02)}, {'stretch': (0.0, -0.0)}])
-def test_no_strength_and_no_stretch_are_none_bit_for_bit(none):
-    plain = random_cup(np.random.default_rng(7))
-    assert replace(plain, **none).as_tuple == plain.as_tuple
-
-
 def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
     rng = np.random.default_rng(6)
     cup, package = replace(random_cup(rng), relaxation=R), random_package(rng)
@@ -272,17 +264,6 @@ def test_modes_are_those_of_the_complex_stiffness():
             for K, P in ((cup.stiffness, np.zeros((6, 6))), (np.zeros((6, 6)), cup.damping)))
         A = s * s * np.eye(6) - (1.0 + growth) * by_static[:, :6] - s * by_damping[:, 6:]
         assert np.linalg.svd(A, compute_uv=False)[-1] < 1e-8 * abs(s) ** 2
-
-
-@pytest.mark.parametrize(('arguments', 'word'), [
-    ({'stiffness': np.eye(5)}, 'stiffness'), ({'damping': np.full((6, 6), np.nan)}, 'damping'),
-    ({'stiffness': np.triu(np.ones((6, 6)))}, 'symmetric'), ({'length': 0.0}, 'length'),
-    *(({'relaxation': wrong}, 'cup.relaxation') for wrong in ((-0.1, 0.2), (0.1,), (0.1, np.nan))),
-    *(({'relaxation_times': x}, 'cup.relaxation_times') for x in ((0.8, 0.06), (0.0, 0.06))),
-    *(({'stretch': wrong}, 'cup.stretch') for wrong in ((np.nan, 0.0), (1.0,), ('a', 'b')))])
-def test_a_cup_names_what_is_wrong(arguments, word):
-    with pytest.raises(BellowsError, match=word):
-        replace(Cup.thesis(), **arguments)
 
 
 def test_steps_are_short_enough_for_the_shortest_time():

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.core.model import equilibrium, kernels
-from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, regressor
+from bellows_ros.core.model.cup_package import model_tuple, regressor
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import require_stretch, STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
@@ -77,14 +77,6 @@ def test_a_cup_file_with_too_much_stretch_is_refused_with_the_reason():
     wide = {'envelope.deflection_low': [-0.01] * 6, 'envelope.deflection_high': [0.01] * 6}
     with pytest.raises(BellowsError, match=r'cup\.stretch is \[-100000, 0\].* shift of 10 mm'):
         cup_of(resolve({'cup.stretch': [-1e5, 0.0], **package, **wide}))
-
-
-def test_several_cups_have_no_stretch():
-    two = np.array([[0.05, 0.0, 0.0, 0.0], [-0.05, 0.0, 0.0, 1.0]])
-    cup = replace(Cup.thesis(), stretch=STRETCH)
-    assert gripper_of(cup, np.zeros((1, 4))).stretch == STRETCH
-    with pytest.raises(BellowsError, match=r'cup\.stretch.*2 cups'):
-        gripper_of(cup, two)
 
 
 def test_at_rest_the_second_implementation_does_not_accelerate():

@@ -9,7 +9,6 @@ from bellows_ros.core.model.kernels import cup_wrench
 from bellows_ros.core.model.structure import (
     composition,
     has_coupling,
-    structure_named,
     STRUCTURES,
     UPPER,
 )
@@ -29,13 +28,6 @@ COUPLED = STRUCTURES['axisymmetric_coupled']
 SCALE = np.array([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35])
 
 
-def turned(degrees):
-    """Return the congruence (6, 6) of a turn about z."""
-    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return np.kron(np.eye(2), R)
-
-
 @pytest.mark.parametrize('name', list(STRUCTURES))
 def test_parameters_and_matrices_undo_each_other(name):
     structure = STRUCTURES[name]
@@ -45,14 +37,6 @@ def test_parameters_and_matrices_undo_each_other(name):
     assert_allclose(structure.parameters(K, P), x, rtol=1e-14)
     for number, (i, j) in enumerate(structure.leads):
         assert K[i, j] == x[number]
-
-
-@pytest.mark.parametrize('name', ['axisymmetric', 'axisymmetric_coupled'])
-@pytest.mark.parametrize('degrees', [30.0, 90.0])
-def test_a_round_cup_may_be_turned_about_its_axis(name, degrees):
-    structure, X = STRUCTURES[name], turned(degrees)
-    matrix, _ = structure.matrices(np.random.default_rng(3).standard_normal(2 * structure.size))
-    assert_allclose(X @ matrix @ X.T, matrix, rtol=1e-12, atol=1e-9)
 
 
 def test_the_coupled_structure_is_a_centre_of_stiffness_off_the_middle():
@@ -83,11 +67,6 @@ def test_pooled_covariances_are_those_of_pooled_vectors(name):
                 for other, (j, t) in enumerate(block):
                     expected[i, j] = s * t * pooled[one, other]
     assert_allclose(Q, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_an_unknown_structure_is_refused():
-    with pytest.raises(BellowsError, match="'round'.* axisymmetric, axisymmetric_coupled"):
-        structure_named('round')
 
 
 @pytest.mark.parametrize(('shift', 'expected'), [(0.0, False), (5e-5, False), (4.6e-3, True)])

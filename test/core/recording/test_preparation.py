@@ -86,15 +86,6 @@ def test_noise_at_rest_with_a_memory_is_that_of_fewer_poses():
     assert 0.6 < squares[:, :3].mean(axis=1).std() / np.sqrt(2.0 / 3.0 / independent) < 1.0
 
 
-@pytest.mark.parametrize('rate_hz', [100.0, 360.0, 1000.0])
-def test_windows_that_are_not_given_last_equally_long_at_every_rate(rate_hz):
-    tool, package = held(71, rate_hz, 6.0)
-    settings = replace(PLAIN, tool_half_window=0, package_half_window=0)
-    found = prepare(stream(tool), stream(package, '/package'), settings)
-    for weights in (found.filters[0].weights, found.filters[1].weights):
-        assert_allclose(weights.shape[1] / rate_hz, 1 / 6, atol=2 / rate_hz)
-
-
 @pytest.mark.parametrize('rate_hz', [125.0, 200.0, 500.0])
 def test_a_tool_at_another_rate_comes_to_the_stamps_of_the_package(rate_hz):
     tool, package = (poses.select(slice(None, None, 25)) for poses in held(62, 9000.0))
@@ -240,16 +231,6 @@ def test_a_step_as_a_slow_camera_sees_many_is_of_the_motion(rate_hz, size, warne
     assert any(remark.code == 'step' for remark in remarks) is warned
 
 
-@pytest.mark.parametrize(('count', 'said'), [(6, 6), (7, 1)])
-def test_jumps_that_come_again_and_again_are_summed_up(count, said):
-    (poses, _), steps = held(70), [LastingStep(k, 4e-3, 0.02) for k in range(9, 9 + count)]
-    found = replace(find_outliers(poses, 10**9), steps=tuple(steps))
-    remarks = remarks_on(StreamReport(stream(poses), timing(poses.stamps_ns), found))
-    sizes = [remark.numbers['shift'] for remark in remarks if remark.code in ('step', 'steps')]
-    assert sizes == [4e-3] * said
-    assert any(remark.numbers.get('count') == count for remark in remarks) is (said == 1)
-
-
 @pytest.mark.parametrize(('rate_hz', 'clock_hz', 'code'), [
     (360, 200, 'quantised'), (480, 48, 'quantised'), (360, 10**9, '')])
 def test_stamps_of_a_slow_clock_are_counted_and_are_noise_in_motion(rate_hz, clock_hz, code):
@@ -297,18 +278,6 @@ def test_unusable_recordings_get_a_reason():
     twist = TwistStream('/twist', 'world', tool.stamps_ns[:2], *np.zeros((2, 2, 3)))
     with pytest.raises(BellowsError, match=r'\b2\b'):
         prepare(stream(tool), stream(package, '/package'), PLAIN, twist)
-
-
-@pytest.mark.parametrize('at', [0, -1])
-def test_a_stray_pose_hours_away_is_the_only_omitted_one(at):
-    tool, package = held(75)
-    stamps = tool.stamps_ns.copy()
-    stamps[at] += 3_600_000_000_000 if at else -3_600_000_000_000
-    tool = Trajectory(stamps, tool.position, tool.rotation)
-    found = prepare(stream(tool), stream(package, '/package'), PLAIN)
-    assert found.report.tool.marked == 1
-    assert len(found.aligned_tool) == len(package) - 1
-    assert np.count_nonzero(found.valid) >= len(package) - 52
 
 
 def lost(poses, *spans):
@@ -379,16 +348,6 @@ def test_rounded_stamps_are_uniform_and_copied(rate_hz):
     assert_array_equal(grid.position, poses.position)
     assert_array_equal(grid.rotation, poses.rotation)
     assert grid.valid.all()
-
-
-@pytest.mark.parametrize('drift', [-0.05, -0.01, 0.003, 0.05])
-def test_a_wrong_clock_rate_changes_only_the_rate(drift):
-    stamps = START + np.rint(np.arange(5000) * (1e9 / 360 * (1 + drift))).astype(np.int64)
-    found = timing(np.delete(stamps, slice(1000, 1030)))
-    assert_allclose(found.rate_hz, 360 / (1 + drift), rtol=1e-6)
-    assert found.uniform
-    assert [gap.start_ns for gap in found.gaps] == [stamps[999]]
-    assert_array_equal(on_grid(moving(stamps), timing(stamps)).stamps_ns, stamps)
 
 
 @pytest.mark.parametrize('together', [2, 3, 5])

@@ -30,14 +30,6 @@ def test_hermite_is_of_fourth_order():
     assert np.all(fine[:2] < 1e-6)
 
 
-def test_geodesic_is_of_second_order_and_has_no_twist():
-    wanted = EPOCH_NS + np.arange(10_000_000, 1_900_000_000, 1_234_567)
-    results = [resample(motion(2 * f + 1, f, with_twist=False), wanted) for f in (50, 100)]
-    assert results[0].twist is None
-    order = np.log2(errors(results[0])[:2] / errors(results[1])[:2])
-    assert_allclose(order, 2.0, atol=0.1)
-
-
 @pytest.mark.parametrize('with_twist', [True, False])
 def test_constant_twist_is_interpolated_exactly(with_twist):
     twist = np.array([0.0, 0.0, 0.4, 0.0, 0.0, 2.0])  # a screw: both interpolants hold it
@@ -60,22 +52,6 @@ def test_twist_is_the_derivative_of_the_interpolated_pose():
     turn = lie.log_so3(np.swapaxes(before.rotation, -1, -2) @ after.rotation) / (2 * h * 1e-9)
     # Rounding of poses over 20 us, and h^2 times third derivatives of some 1e3.
     assert_allclose(here.twist, np.concatenate([v, turn], axis=1), atol=2e-7)
-
-
-@pytest.mark.parametrize('with_twist', [True, False])
-def test_coinciding_stamps_repeat_the_samples(with_twist):
-    trajectory = motion(11, 10.0, with_twist)
-    result = resample(trajectory, trajectory.stamps_ns)
-    assert_array_equal(result.position, trajectory.position)
-    assert_array_equal(result.rotation, trajectory.rotation)
-    if with_twist:
-        assert_array_equal(result.twist, trajectory.twist)
-
-
-def test_one_sample_and_no_stamps():
-    one = motion(1, 10.0)
-    assert_array_equal(resample(one, one.stamps_ns).position, one.position)
-    assert len(resample(one, [])) == 0
 
 
 @pytest.mark.parametrize('offset_ns', [-1, 1])
@@ -158,16 +134,6 @@ def test_true_stamps_and_bodies_at_rest_are_left_alone(speed, arrives):
     found, arrivals = at_sampling(stream)
     assert arrivals is None
     assert found is stream
-
-
-@pytest.mark.parametrize('gaps', [
-    [(5.0, 40.0)], [(2.0, 2.3), (3.0, 17.0), (18.5, 19.6), (21.0, 21.4), (25.0, 25.5), (30, 48)],
-    [(k + 0.4, k + 1.0) for k in range(50)]])
-def test_long_gaps_between_uniform_stamps_are_no_bursts(gaps):
-    stamps = np.arange(25_000) * 2_000_000
-    seconds = stamps * 1e-9
-    kept = ~np.any([(seconds > first) & (seconds < last) for first, last in gaps], axis=0)
-    assert not in_bursts(stamps[kept], timing(stamps[kept]))
 
 
 @pytest.mark.parametrize('many', [2, 5, 50])

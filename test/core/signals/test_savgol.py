@@ -151,13 +151,6 @@ def test_windows_that_touch_an_invalid_sample_are_not_valid():
     assert_array_equal(result.acceleration[expected], clean.acceleration[expected])
 
 
-def test_as_short_as_one_window():
-    longer, n = noisy_motion(60), 10
-    one = savgol(longer.select(slice(30, 51)), n, 3)
-    assert len(one) == 1
-    assert_allclose(one.acceleration[0], savgol(longer, n, 3).acceleration[30], rtol=1e-6)
-
-
 def test_blocks_leave_no_seams(monkeypatch):
     trajectory = noisy_motion(200)
     whole = savgol(trajectory, 12, 3)
@@ -192,11 +185,6 @@ def test_noise_that_a_filter_lets_through(kept):
 def test_impossible_fits_are_refused(half_window, order, figures):
     with pytest.raises(BellowsError, match=figures):
         savgol(noisy_motion(80), half_window, order)
-
-
-def test_a_rate_that_is_not_uniform_is_refused():
-    with pytest.raises(BellowsError, match=r'\bsample 60\b'):
-        savgol(noisy_motion().select(np.delete(np.arange(120), 60)), 10, 2)
 
 
 @pytest.mark.parametrize('kept', [0.0, 0.3, 0.999, -0.5])

@@ -1,8 +1,6 @@
 """Poses, twists and plans of another frame of the tool than E: recorded, live, and of joints."""
 
-from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion, transform
-from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.geometry.lie import exp_so3, transform
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.conversion import tip_of
 from bellows_ros.core.parameters.values import Values
@@ -57,30 +55,6 @@ def test_recorded_streams_become_those_of_the_tip(motion, in_world):
     assert_allclose(poses.rotation, tool.rotation, atol=1e-12)
     assert_allclose(twists.linear, expected[0], atol=1e-10)
     assert_allclose(twists.angular, expected[1], atol=1e-10)
-
-
-@pytest.mark.parametrize('frame', ['world', 'tool'])
-def test_live_predictions_are_those_of_the_tip(motion, frame):
-    """Fed with the flange and its offset, or with E itself."""
-    predicted = []
-    for source, tip in ((motion[0], None), (motion[1], TIP)):
-        live = LivePredictor(Cup.thesis(), Package(1.0, 0.01 * np.eye(3), (0, 0, -0.03)), 9.81,
-                             frame)
-        live.expect_twists(True)
-        live.tool.set_tip(tip)
-        linear, angular = twists_of(source, frame == 'world')
-        xyzw = rotation_to_quaternion(source.rotation)
-        for k, stamp in enumerate(source.stamps_ns.tolist()):
-            stamp += 1
-            live.on_pose(stamp, 'world', tuple(source.position[k].tolist()),
-                         tuple(xyzw[k].tolist()), stamp)
-            for found in live.on_twist(stamp, tuple(linear[k].tolist()),
-                                       tuple(angular[k].tolist())):
-                predicted.append(found.position)
-        assert not any(live.refused.values())
-    half = len(predicted) // 2
-    assert half > 300
-    assert_allclose(predicted[half:], predicted[:half], atol=1e-9)
 
 
 def test_an_arm_ends_at_the_tip():

@@ -1,6 +1,6 @@
 """Streams and trajectories: their checks, and what is derived from them."""
 
-from bellows_ros.core.signals.trajectory import any_within, PoseStream, Trajectory, uniform_rate_hz
+from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -16,10 +16,6 @@ def test_uniform_rate():
     for uneven, figure in ((jumpy, 50), (jumpy[:1], 2), (np.delete(stamps(100, 360.0), 40), 40)):
         with pytest.raises(BellowsError, match=rf'\b{figure}\b'):
             uniform_rate_hz(uneven)
-
-
-def test_neighbours_of_a_sample_are_found():
-    assert_array_equal(any_within(np.arange(10) == 4, 3), np.abs(np.arange(1, 9) - 4) <= 1)
 
 
 def test_seconds_and_select():
@@ -54,9 +50,3 @@ BAD = [
 def test_a_bad_trajectory_is_refused(changed, named):
     with pytest.raises(BellowsError, match=named):
         Trajectory(**{**GOOD, **changed})
-
-
-@pytest.mark.parametrize('changed, named', BAD[:8])
-def test_a_bad_pose_stream_is_refused_by_name(changed, named):
-    with pytest.raises(BellowsError, match=f"'/arm/pose'.*{named}"):
-        PoseStream('/arm/pose', 'world', **{**GOOD, **changed})
