@@ -1,5 +1,5 @@
 """
-Wrong units and quaternions of recorded poses.
+Wrong units and orders of quaternions of recorded poses.
 
 Each is a correction of one body or of both, after which the package moves least in its tool.
 """
@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 
-from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.signals.trajectory import Trajectory
@@ -35,19 +34,8 @@ MIN_UNIT_RATIO = 100.0
 MAX_MISFIT_RATIO = 0.4
 """Largest ratio of relative motion after and before the correction of a convention."""
 
-MAX_MISFIT = 0.6
-"""Largest relative motion of bodies on one cup, rad plus path relative to the distance: twice the
-swing at which a cup flips."""
-
 SIMPLER = 0.9
 """Ratio of misfits below which a later candidate replaces an earlier one."""
-
-OPPOSITE = -0.6
-"""Largest correlation of two rotations of which one is inverse."""
-
-DECISIVE = 0.5
-"""Ratio of misfits below which inverse rotations replace another order of quaternions, the more
-frequent fault."""
 
 UPRIGHT = 0.2
 """Largest misalignment of a package that hangs below its tool, a sum of two cosines from 1: 36
@@ -80,11 +68,6 @@ def in_metres(body: Trajectory) -> Trajectory:
     return replace(body, position=1e-3 * body.position)
 
 
-def conjugated(body: Trajectory) -> Trajectory:
-    """Return poses with inverse rotations."""
-    return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
-
-
 def changed(bodies: Bodies, wrong: Sequence[bool], change: Change) -> Bodies:
     """Return both bodies, the wrong ones changed."""
     tool, package = (change(body) if is_wrong else body
@@ -108,22 +91,15 @@ def units_of(bodies: Bodies, one_frame: bool) -> tuple[bool, bool]:
                default=(0.0, (False, False)))[1]
 
 
-def best_correction(bodies: Bodies) -> Finding | None:
-    """Return the fault of quaternions whose correction makes the motion rigid, or None."""
-    before, is_opposite = misfit(bodies), _correlation(bodies) < OPPOSITE
-    limit = before if is_opposite else min(MAX_MISFIT_RATIO * before, MAX_MISFIT)
-    found, least = None, float('inf')
+def wrong_order(bodies: Bodies) -> str:
+    """Return the body with w first in its quaternions, 'both', or '' for none."""
+    before, found, least = misfit(bodies), '', float('inf')
     for body, wrong in WRONG.items():
         both = changed(bodies, wrong, w_last)
         own = misfit(both)
         is_less = own < MAX_MISFIT_RATIO * before or _is_righted(bodies, both)
         if is_less and own < SIMPLER * least:
-            found, least = Finding('quaternion_order', Level.ERROR, topic=body), own
-    least *= DECISIVE / SIMPLER
-    for body, wrong in WRONG.items():
-        own = misfit(changed(bodies, wrong, conjugated))
-        if own < limit and own < SIMPLER * least and not (is_opposite and body == 'both'):
-            found, least = Finding('conjugated', Level.ERROR, topic=body), own
+            found, least = body, own
     return found
 
 
@@ -131,12 +107,6 @@ def _is_righted(before: Bodies, after: Bodies) -> bool:
     """Return whether a package hangs below its tool only after a correction, and moves less."""
     (moved, tilted), (moves, tilt) = (motion_in_tool(both) for both in (before, after))
     return is_on_cup(before) and moves < moved and tilt < UPRIGHT and TILTED < tilted
-
-
-def _correlation(bodies: Bodies) -> float:
-    """Return the correlation of the rotations of two bodies about axes of one world."""
-    a, b = (lie.log_so3(body.rotation @ body.rotation[len(body) // 2].T) for body in bodies)
-    return float(np.sum(a * b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
 
 
 def similarity(first: Array, second: Array) -> float:

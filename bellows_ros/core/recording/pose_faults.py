@@ -336,7 +336,7 @@ def noise_of(body: Trajectory, chosen: Mask | None = None) -> Array:
 
 
 def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
-    """Yield wrong units, quaternion orders and inverse poses that explain non-rigid motion."""
+    """Yield wrong units, and quaternions that explain non-rigid motion."""
     if poses.bodies is None:
         return
     units = conventions.units_of(poses.bodies, poses.one_frame)
@@ -344,8 +344,8 @@ def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
         ('tool', 'package'), units, strict=True) if is_wrong)
     if poses.one_frame:
         bodies = conventions.changed(poses.bodies, units, conventions.in_metres)
-        if found := conventions.best_correction(bodies):
-            yield found
+        if body := conventions.wrong_order(bodies):
+            yield Finding('quaternion_order', Level.ERROR, topic=body)
         return
     plain, inverse = _similarities(poses.bodies)
     if inverse > MIN_SIMILARITY and 1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain):

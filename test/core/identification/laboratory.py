@@ -356,10 +356,6 @@ def _of_tool(tool, package):
         - tool.position[0] + tool.position + tool.rotation @ [0.02, 0.0, 0.03])
 
 
-def _conjugated(body):
-    return replace(body, rotation=np.swapaxes(body.rotation, 1, 2))
-
-
 def _other_axes(own):
     own.say(inertia=1.0)
     order = [[1, 2, 0], [2, 0, 1]][own.rng.integers(2)]
@@ -419,7 +415,6 @@ FAULTS = {
     'noise in motion': (lambda own: _camera(own, 60.0, blur=4.0), 'sound'),
     'clocks 50 ppm apart': (_slow_clock, 'sound'),
     'marker of the tool': (lambda own: setattr(own, 'misread', _of_tool), 'package_on_tool'),
-    'conjugated': (_misread(_conjugated), 'conjugated'),
     'package on the table': (lambda own: setattr(
         own, 'misread', lambda tool, package: (tool, _still(package))), 'package_at_rest'),
     'frozen orientation': (_misread(_frozen), 'frozen_orientation'),
