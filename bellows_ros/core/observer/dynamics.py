@@ -143,7 +143,7 @@ def shaken(state: State, row: int, by: float) -> State:
 
 
 @kernel
-def _write_difference(
+def write_difference(
     now: tuple[Vector, Vector], changed: tuple[Vector, Vector], column: int, out: Array
 ) -> None:
     """Write the slope of an acceleration into a column (6,)."""
@@ -178,12 +178,12 @@ def slopes(
             A[i, j] = A[3 + i, 3 + j] = -w_hat[3 * i + j]
             A[i, 3 + j] = -v_hat[3 * i + j]
     for j in range(STATE):
-        _write_difference(
+        write_difference(
             now, acceleration(model, bias, tool, shaken(body, j, DIFFERENCE)), j, A[6:])
     changed = theta.copy()
     for j in range(STATE, B.shape[1]):
         changed[j - STATE] += DIFFERENCE
-        _write_difference(now, acceleration(
+        write_difference(now, acceleration(
             with_theta(nominal, changed), wrench_bias(changed), tool, body), j, B)
         changed[j - STATE] = theta[j - STATE]
 
@@ -201,9 +201,9 @@ def driving(model: ModelTuple, tool: State, body: State, noise: Array) -> Array:
     now, of_tool, of_body = (
         kernels.body_acceleration(model, tool, body), np.zeros((6, 12)), np.zeros((6, 12)))
     for j in range(STATE):
-        _write_difference(
+        write_difference(
             now, kernels.body_acceleration(model, shaken(tool, j, DIFFERENCE), body), j, of_tool)
-        _write_difference(
+        write_difference(
             now, kernels.body_acceleration(model, tool, shaken(body, j, DIFFERENCE)), j, of_body)
     drive, out = np.zeros((12, 6)), np.zeros((3, 12, 12))
     for i in range(6):

@@ -26,7 +26,7 @@ from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import substeps_for
-from bellows_ros.core.model.kernels import LawTuple, State, Wrench
+from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, stands
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
@@ -39,8 +39,6 @@ from bellows_ros.core.sensors.wrench import (
     gripper_regressors,
     Mount,
     WrenchSensor,
-    write_acceleration_loads,
-    write_load_slopes,
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -95,17 +93,25 @@ Buffer = tuple[Any, Any]
 
 @kernel
 def _add_node(
-    model: Any, tool: State, body: State, mount: Mount, T: Array, B: Array, weight: float, H: Array
+    nominal: ModelTuple, theta: Array, tool: State, body: State, mount: Mount, T: Array,
+    weight: float, H: Array,
 ) -> None:
-    """Add a weighted derivative H(t) T(t) (6, n) of the load; B as of `slopes`."""
-    L, G = np.zeros((6, STATE)), np.zeros((6, MARKER))
-    write_load_slopes(model, tool, body, mount, L)
-    write_acceleration_loads(model, tool, body, mount, B, G)
+    """Add a weighted derivative (6, n) of the load, by the state after T and by the cup."""
+    model, changed = dynamics.with_theta(nominal, theta), theta.copy()
+    now, L, G = cup_load(model, tool, body, mount), np.zeros((6, STATE)), np.zeros((6, MARKER))
+    for j in range(STATE):
+        dynamics.write_difference(now, cup_load(
+            model, tool, dynamics.shaken(body, j, dynamics.DIFFERENCE), mount), j, L)
+    for j in range(COM, DAMPING + 6):
+        if j < COM + 3 or j >= STIFFNESS:
+            changed[j - STATE] += dynamics.DIFFERENCE
+            dynamics.write_difference(now, cup_load(
+                dynamics.with_theta(nominal, changed), tool, body, mount), j, G)
+            changed[j - STATE] = theta[j - STATE]
     product = t3.product(L, T, np.empty((6, MARKER)))
     for i in range(6):
         for j in range(MARKER):
-            of_cup = COM <= j < COM + 3 or STIFFNESS <= j < DAMPING + 6
-            H[i, j] += weight * (product[i, j] + (G[i, j] if of_cup else 0.0))
+            H[i, j] += weight * (product[i, j] + G[i, j])
 
 
 @entry
@@ -146,7 +152,7 @@ def block(
         if now_ns - at_node >= NODE_NS or now_ns == until_ns:
             dynamics.slopes(nominal, theta, tool, body, A1, B1)
             ekf.accumulate(A + A1, B + B1, (now_ns - at_node) / NS_PER_S, still, T, Q)
-            _add_node(model, tool, body, mount, T, B1, pending / n, H)
+            _add_node(nominal, theta, tool, body, mount, T, pending / n, H)
             A, B, A1, B1, pending, at_node = A1, B1, A, B, 0, now_ns
     return mean, H, first, tool
 

@@ -117,54 +117,6 @@ def cup_load(model: ModelTuple, tool: State, body: State, mount: Mount) -> Wrenc
             t3.scale(-mount[2], t3.apply(R, t3.add(m, t3.cross(arm, f)))))
 
 
-@kernel
-def to_sensor(R: Matrix, arm: Vector, mount: Mount, A: jac.Square) -> jac.Square:
-    """Return -s X(B_H_F)^T A for columns of wrenches at B."""
-    B = jac.shift_left(t3.scale(-1.0, arm), A)
-    return jac.scale_square(-mount[2], (
-        t3.multiply(R, B[0]), t3.multiply(R, B[1]), t3.multiply(R, B[2]), t3.multiply(R, B[3])))
-
-
-@entry
-def write_load_slopes(
-    model: ModelTuple, tool: State, body: State, mount: Mount, H: Any
-) -> None:
-    """
-    Write the derivative (6, 12) of `cup_load` by the error of the package.
-
-    Pose and twist change the wrench f_B at B; the pose also its axes and its lever.
-    """
-    f, m = kernels.wrench_at_com(model[1][1], *kernels.lip_wrench(model, tool, body))
-    c = jac.ends_of_spring(model, tool, body)[0]
-    by_pose, by_twist = jac.wrench_jacobians(model, tool, body)
-    by_axes = jac.ZERO_MATRIX, t3.hat(f), t3.hat(f), t3.hat(m)
-    R, arm = from_package(tool, body, mount)
-    by_pose = jac.add_scaled_square(
-        jac.shift_left(c, jac.shift_right(by_pose, c)), -1.0, by_axes)
-    jac.write_square(H, 0, 0, to_sensor(R, arm, mount, by_pose))
-    jac.write_square(H, 0, 6, to_sensor(
-        R, arm, mount, jac.shift_left(c, jac.shift_right(by_twist, c))))
-
-
-@entry
-def write_acceleration_loads(
-    model: ModelTuple, tool: State, body: State, mount: Mount, columns: Any, out: Any
-) -> None:
-    """
-    Write the changes (6, n) of `cup_load` by which accelerations (6, n) of the package change.
-
-    The columns are derivatives of `body_acceleration` by parameters of the cup and by the com, as
-    `parameter_jacobian` returns them; a parameter of the package's mass changes no load.
-    """
-    mass, _, inertia, _ = model[1]
-    R, arm = from_package(tool, body, mount)
-    for j in range(columns.shape[1]):
-        f = t3.scale(mass, (columns[0, j], columns[1, j], columns[2, j]))
-        m = t3.apply(inertia, (columns[3, j], columns[4, j], columns[5, j]))
-        jac.write_column(out, j, t3.scale(-mount[2], t3.apply(R, f)), t3.scale(
-            -mount[2], t3.apply(R, t3.add(m, t3.cross(arm, f)))))
-
-
 @entry
 def write_gripper_regressor(
     tool: State, acceleration: Twist, gravity: Vector, mount: Mount, Y: Any

@@ -1,9 +1,8 @@
 """The wrench of a sensor against Newton and Euler on point masses, its slopes by differences."""
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.model import jacobians as jac
-from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium
+from bellows_ros.core.model.cup_package import model_tuple, Package
+from bellows_ros.core.model.equilibrium import static_equilibrium
 from bellows_ros.core.model.kernels import advance
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.sensors import wrench
@@ -77,40 +76,6 @@ def test_wrench_is_that_of_newton_and_euler(sign):
     size = np.repeat([np.abs(true[:, :3]).max(), np.abs(true[:, 3:]).max()], 3)
     factor = 1.0 if sign == 'load' else -1.0
     assert_allclose(factor * np.array(shown) / size, true / size, atol=2e-4)
-
-
-def test_slopes_are_differences():
-    """By the package's error, by K, P, length and com, at a state far from equilibrium."""
-    tool, body, model = motion(0.5)
-    now, at, mount = tool[-1], body[-1], sensor().mount
-    at = moved_by(at, np.array([2e-3, 1e-3, -1e-3, 0.05, -0.1, 0.08, 0.1, 0.2, -0.1, 1, -1, 2.0]))
-
-    def load(state, given=model):
-        return np.ravel(wrench.cup_load(given, now, state, mount))
-
-    H, h = np.zeros((6, 12)), 1e-6
-    wrench.write_load_slopes(model, now, at, mount, H)
-    assert_allclose(H, np.transpose([
-        (load(moved_by(at, h * e)) - load(moved_by(at, -h * e))) / (2 * h) for e in np.eye(12)]),
-        rtol=1e-6, atol=1e-5)
-    columns, out = np.zeros((6, jac.PARAMETER_COLUMNS)), np.zeros((6, jac.PARAMETER_COLUMNS))
-    jac.parameter_jacobian(model, now, at, 0, jac.PARAMETER_COLUMNS, columns)
-    wrench.write_acceleration_loads(model, now, at, mount, columns, out)
-    for column, changed in (
-            (0, {'stiffness': np.diag([1.0, 0, 0, 0, 0, 0])}),
-            (41, {'damping': np.diag([0.0, 0, 0, 0, 0, 1])}), (42, {'length': 1.0}),
-            (53, {'com': np.array([1.0, 0, 0])}), (55, {'com': np.array([0, 0, 1.0])})):
-        up, down = (load(at, other(model, 1e-6 * f, changed)) for f in (1, -1))
-        assert_allclose(out[:, column], (up - down) / 2e-6, rtol=1e-5, atol=1e-5)
-
-
-def other(model, size, change):
-    """Return the model of `motion` with a change of a parameter."""
-    cup = Cup(CUP.stiffness + size * change.get('stiffness', 0.0),
-              CUP.damping + size * change.get('damping', 0.0),
-              CUP.length + size * change.get('length', 0.0))
-    com = np.array(model[1][1]) + size * change.get('com', 0.0)
-    return model_tuple(cup, Package(PACKAGE.mass, PACKAGE.inertia, com), 9.81)
 
 
 def test_gripper_without_mass_has_no_inertia():
