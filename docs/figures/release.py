@@ -30,7 +30,7 @@ def main() -> None:
     data, by_mass = drops.real_drops()
     for axes, (mass, own) in zip(panels, by_mass.items(), strict=True):
         law = fit_release([drop for other, each in by_mass.items() if other != mass
-                           for drop in each], (0.0,) * 8).law
+                           for drop in each]).law
         misses = drops.misses(data, own, law)
         position, velocity = np.sqrt(np.mean(misses[:, :2]**2, axis=0))
         print(f'| {mass:.3f} kg | {1e3 * position:.2f} mm | {1e3 * velocity:.1f} mm/s | '
