@@ -24,7 +24,7 @@ BIG, LITTLE, XCDR2_BIG, XCDR2_LITTLE = 0, 1, 6, 7
 SECONDS = st.integers(-(2**31), 2**31 - 1)
 NAMES = st.text(
     st.characters(blacklist_categories=['C', 'Z'], whitelist_characters=' '), max_size=40)
-DOUBLES = st.lists(st.floats(width=64), min_size=85, max_size=85)
+DOUBLES = st.lists(st.floats(-1e5, 1e5), min_size=85, max_size=85)
 
 
 def filled(message, numbers):
@@ -106,6 +106,21 @@ def test_a_damaged_message_has_no_stamp(name):
         assert stamp_ns == messages.NO_STAMP or frames != names or each == data
         assert len(numbers) == layout.doubles
     assert read(data)[:2] == (5, names)
+
+
+@pytest.mark.parametrize('huge', [1e6, -1e308, np.inf, np.nan])
+def test_numbers_beyond_the_bound_are_not_numbers(huge):
+    """Of poses, twists and wrenches, but not in a covariance."""
+    for name, kind in KINDS.items():
+        layout = messages.LAYOUTS[name]
+        names, numbers = ('world', 'child')[:layout.strings], [1.0] * layout.doubles
+        read = conversions.reader(kind)
+        for place, is_kept in ((0, False), (-1, layout.doubles > 7)):
+            changed = [*numbers]
+            changed[place] = huge
+            found = read(messages.pack(name, names, 5, *changed))
+            assert found[:2] == (5, names)
+            assert bool(np.isnan(found[2]).all()) is not is_kept
 
 
 def test_a_list_of_one_transform_is_that_of_ros():
