@@ -97,10 +97,10 @@ def _require_closed(bag: Path) -> None:
 
 def _damaged(bag: object, reason: object) -> BellowsError:
     """Return the error for a recording that cannot be read."""
+    name, why = shown(str(bag), 200), shown(str(reason).rstrip('.') or 'damage', 300)
     return BellowsError(
-        f"Recording '{shown(str(bag), 200)}' cannot be read: {shown(str(reason) or 'damage', 300)}"
-        ". Give a rosbag2 folder, or a .mcap or .db3 file; repair a damaged .mcap file with 'mcap "
-        "recover', a folder with 'ros2 bag reindex'.")
+        f"Recording '{name}' cannot be read: {why}. Give a rosbag2 folder, or a .mcap or .db3 "
+        "file; repair a damaged .mcap file with 'mcap recover', a folder with 'ros2 bag reindex'.")
 
 
 def _stored(
