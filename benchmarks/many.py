@@ -15,11 +15,11 @@ import tempfile
 import time
 from typing import Any
 
+from bellows_ros.core.identification.estimate import evaluated, measured_courses
 from bellows_ros.core.identification.pool import Held
-from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import given_std
-from bellows_ros.core.identification.search import evaluated, measured_courses
 from bellows_ros.core.identification.segments import measured_segments, segments_of
+from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import one_cup_of
@@ -108,11 +108,8 @@ def scaling(folder: Path, counts: Sequence[int]) -> list[dict[str, float]]:
             structure_named('axisymmetric'), one_cup_of(values), given_std(values))
         courses = measured_courses(problem)
         used = min(_processor(problem, courses) for _ in range(2))
-        segment = parts[0][0]
-        jacobian = problem.local.whitened(
-            problem.start[problem.index(0)], segment, segment.first).jacobian
         rows.append({'recordings': count, 'seconds': used / count,
-                     'unknowns': jacobian.shape[1], 'jacobian': jacobian.nbytes})
+                     'unknowns': len(problem.index(0))})
     return rows
 
 
@@ -155,8 +152,8 @@ def main() -> None:
     count, seconds = int((sys.argv + [''])[1] or COUNT), float((sys.argv + ['', ''])[2] or SECONDS)
     found = run(count, seconds)
     for row in found['scaling']:
-        print(f'{row["recordings"]:3} recordings: {row["seconds"]:.3f} s, '
-              f'{row["jacobian"] / MEBI:.2f} MiB of Jacobian with {row["unknowns"]} columns each')
+        print(f'{row["recordings"]:3} recordings: {row["seconds"]:.3f} s with '
+              f'{row["unknowns"]} unknowns each')
     for name, fit in found['fits'].items():
         print(f'{name}: {fit["seconds"]:.0f} s, {fit["reading"]:.0f} s of these for reading and '
               f'{fit["search"]:.0f} s for {fit["steps"]} steps and the errors; processor '

@@ -19,9 +19,10 @@ from typing import NamedTuple
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.residuals import evaluated
 from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
+from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import Structure, structure_named
@@ -157,8 +158,10 @@ def bound_of(
     """Return the Cramer-Rao bound (n,) of the parameters and of all else that is free."""
     segment = Segment.of(true)
     problem = Problem.of([segment], structure, cup, free)
-    J = problem.whitened(problem.start, segment, segment.first).jacobian
-    return np.sqrt(np.diag(np.linalg.inv(J.T @ J + np.diag(problem.weights)))) * problem.units
+    H = evaluated(problem, problem.start, segment, segment.first).information.sum(axis=0)
+    C, slopes = np.linalg.inv(H + np.diag(problem.weights)), np.diag(problem.units)
+    slopes[:problem.shared, :problem.shared] = problem.slopes(problem.start)
+    return np.sqrt(np.diag(slopes @ C @ slopes.T))
 
 
 def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:

@@ -6,8 +6,9 @@ from dataclasses import replace
 from multiprocessing import get_context
 
 from bellows_ros.core import live, usable_cores
-from bellows_ros.core.identification.problem import Problem
+from bellows_ros.core.identification import residuals
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
+from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.live import landing
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.simulation import simulate
@@ -79,7 +80,7 @@ def compile_fit(cup: Cup) -> None:
     segment = Segment.of(MeasuredSegment(
         tool, simulate(cup, PACKAGE, tool, gravity=GRAVITY), PACKAGE, GRAVITY, noise, noise))
     problem = Problem.of([segment], STRUCTURES['axisymmetric'], cup, {})
-    problem.whitened(problem.start, segment, segment.first)
+    residuals.evaluated(problem, problem.start, segment, segment.first)
 
 
 def compile_plans(cup: Cup) -> None:

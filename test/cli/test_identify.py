@@ -3,7 +3,7 @@
 import importlib.util
 import json
 
-from bellows_ros.core.identification import search
+from bellows_ros.core.identification import estimate
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 
@@ -71,8 +71,8 @@ def test_a_replaced_cup_file_names_the_parameters_that_are_lost(bellows, root, t
 
 def test_a_search_that_does_not_end_gives_no_cup(bellows, root, tmp_path, monkeypatch):
     """End with 1, without standard errors and without a cup file."""
-    monkeypatch.setattr(search, 'MAX_STEPS', 2)
-    monkeypatch.setattr(search, 'LOOSE_TOLERANCE', 0.0)
+    monkeypatch.setattr(estimate, 'MAX_STEPS', (2, 2))
+    monkeypatch.setattr(estimate, 'LOOSE_TOLERANCE', 0.0)
     cup, fit = tmp_path / 'cup.yaml', tmp_path / 'fit.json'
     done = bellows('identify', 'bags/validation', '--params', 'bags/package.yaml', '--to', '6',
                    '--out', cup, '--json', fit, cwd=root)

@@ -157,16 +157,6 @@ class Arrow:
         except np.linalg.LinAlgError:  # diverging simulation
             return math.nan
 
-    def step_by(self, g: Array, along: Array, used: Mask) -> Array:
-        """Return the step (m,) by a slope along directions (s, d) and own unknowns in use (m,)."""
-        size, count = along.shape
-        used = np.append(np.full(count, True), used[size:])
-        part = replace(
-            self, shared=along.T @ self.shared @ along, coupling=self.coupling @ along,
-            places=self.places - size + count).within(used)
-        step = part.solve(np.where(used, np.append(along.T @ g[:size], g[size:]), 0.0))
-        return np.append(along @ step[:count], step[count:])
-
 
 def symmetric_roots(M: Array) -> tuple[Array, Array]:
     """Return the symmetric root of a definite matrix, and its inverse."""

@@ -7,7 +7,7 @@ import math
 from operator import getitem
 
 from bellows_ros.core.identification import least_squares
-from bellows_ros.core.identification.diagnosis import MARKERS
+from bellows_ros.core.identification.causes import MARKERS
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import given_std, weak_prior

@@ -16,72 +16,52 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
-from bellows_ros.core.identification.diagnosis import (
-    is_explained,
-    likeliest_setting,
-    misfit,
-    rank,
+from bellows_ros.core.identification.causes import is_explained, likeliest_setting, rank
+from bellows_ros.core.identification.estimate import (
+    approach,
+    MAX_NOISE_CHI2,
+    minimise,
+    Parts,
+    Report,
+    settled,
+    Solution,
 )
-from bellows_ros.core.identification.information import Arrow, inverted, with_unidentifiable
+from bellows_ros.core.identification.information import inverted, with_unidentifiable
 from bellows_ros.core.identification.pool import Held, here
-from bellows_ros.core.identification.problem import (
-    DEFAULT_RATIO,
-    Problem,
-    RATIO_STD,
-)
 from bellows_ros.core.identification.quantities import (
     Free,
     KINDS,
     NOTHING,
-    PACKAGE_STD,
-    stated,
     STRETCH_UNITS,
     weak_prior,
 )
+from bellows_ros.core.identification.residuals import at_rest
 from bellows_ros.core.identification.result import (
     CHANCE,
     Finding,
     Fit,
     Freed,
     Iteration,
-    MAX_NOISE_SHARE,
     MAX_RELATIVE_ERROR,
     NOTES,
     remedy_for,
-)
-from bellows_ros.core.identification.search import (
-    approach,
-    evaluated,
-    MAX_NOISE_CHI2,
-    minimise,
-    MISFIT_CHI2,
-    no_report,
-    noise_effects,
-    Parts,
-    Report,
-    root,
-    settled,
-    Solution,
 )
 from bellows_ros.core.identification.segments import (
     measured_segments,
     MeasuredSegment,
     segments_of,
 )
+from bellows_ros.core.identification.unknowns import DEFAULT_RATIO, Problem, RATIO_STD
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill
-from bellows_ros.core.sensors.table import SENSORS
-from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
+from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
-
-MAX_CORRECTED_SHARE = 0.9
-"""Largest share of noise in the information for which errors are corrected, tenfold then."""
 
 MAX_NOISY_ERROR = 0.1
 """
-Fraction of its limit up to which an error may be of noise, or K be known without its damping.
+Fraction of its limit up to which K is known without its damping.
 
 With unknown damping, noise looks like the resonance of an axis that hardly moves: in 4 of 176 weak
 recordings K x or K rz was off by 6 to 1700 standard errors, and each standard error was above 9 %.
@@ -122,9 +102,6 @@ axes, and the robust value of the worst axis.
 HELD_OUT = 5
 """Number of seconds of a recording per held-out second."""
 
-MAX_FURTHER_SIGMAS = 5.0
-"""Largest deviation of a quantity of a further sensor, standard deviations."""
-
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
 
@@ -158,15 +135,14 @@ def output_error(
     progress : callable, optional
         Callback after every iteration.
     free : mapping, optional
-        Standard deviations, SI units, of quantities of `KINDS` that are free from the start.
+        Standard deviations, SI units, of quantities of `KINDS` without a given value.
     named : sequence of str
         Names of the free quantities that are results.
     relaxation : str
         Whether the strengths of relaxation are free: 'off'; 'auto' if significant; 'on' with an
         error if insignificant.
     given : mapping, optional
-        Standard deviations of given quantities, the priors with which they are free from the
-        minimum on.
+        Standard deviations of given quantities, the priors with which they are free.
     other_start : Cup, optional
         Second initial guess, for a search with an implausible end.
     richer : Structure, optional
@@ -193,65 +169,21 @@ def output_error(
 
     held = measured if isinstance(measured, Held) else here([
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
-    problem, given, further = _with_priors(Problem.of(
-        held, structure, start, free, common=common, standstills=tuple(standstills)), given)
-    near = approach(problem, record, with_couplings=problem.is_slow)
-    if min(near.squares / near.residual_count, near.worst_chi2) > LEAST_OF_SETTING and (
+    problem = Problem.of(held, structure, start, free, common=common,
+                         standstills=tuple(standstills))
+    given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
+    problem = replace(problem, free={**given, **free})
+    near = approach(problem, record)
+    found = settled(near, record)
+    if not found.is_plausible and other_start is not None:
+        other = minimise(problem.from_cup(other_start), record)
+        found = other if other.is_plausible else found
+    found = _extended(found, _extensions(richer, stretch, relaxation), record)
+    if found.worst_chi2 * max(found.learned, 1.0) > LEAST_OF_SETTING and (
             setting := likeliest_setting(near, other_start or start)):
-        return _fit(near, iterations, named, given, (setting,))
-    first = _plausible_root(near, given, other_start or start, record)
-    found = _extended(first, given, _extensions(richer, stretch, relaxation), record)
-    end = tested = with_given(found, given, record)
-    if not (end.is_plausible and end.robust_chi2 < MISFIT_CHI2):  # given quantities hide the cause
-        tested = found if first.problem is problem else minimise(problem)
-    reasons = () if is_explained(tested, given) else rank(tested, given)
-    if further and end.is_plausible:
-        end, given = _with_further(end, further, record), {**given, **further}
-        end = end if problem.is_seen else _without_bias(end)
-        named = *named, *(
-            name for name in further if name in PACKAGE_STD and name not in named)
-    return _fit(end, iterations, named, given, reasons)
-
-
-def _with_priors(problem: Problem, given: Free) -> tuple[Problem, Free, Free]:
-    """
-    Return a problem with the quantities that are free from the start.
-
-    Further results are the standard deviations of given quantities, and of those that are free
-    with further sensors.
-    """
-    further = {
-        name: given[name] if name in stated(given) else std
-        for outline in problem.outlines for name, std in outline.further.items()}
-    given = {**given, **{name: std for name, std in further.items() if name in PACKAGE_STD}}
-    if any(outline.is_tag for outline in problem.outlines) and 'com' in given:
-        problem = replace(problem, free={  # as a tag's marker is free
-            'com': given['com'], **problem.free})
-    return problem, {name: std for name, std in given.items()
-                     if problem.is_slow or name != 'exposure'}, further
-
-
-def _plausible_root(
-    near: Solution, given: Free, other_start: Cup, report: Report
-) -> Solution:
-    """
-    Return the root near the end of an approach, with given quantities free if it is implausible.
-
-    They are first held while the search approaches from another cup, as least squares takes them
-    as exact; then free from the start, as their errors may be large. A misfit of quick poses, of
-    known noise, makes the first root useless.
-    """
-    problem = near.problem
-    more = {name: std for name, std in given.items() if name not in problem.places}
-    found = near
-    if problem.is_slow or near.squares < MISFIT_CHI2 * near.residual_count:
-        found = root(near, report)
-    for held, cup in ((more, other_start), ((), problem.first_cup)):
-        if found.is_plausible:
-            break
-        near = approach(problem.freed(problem.unknowns(cup), more), report, held)
-        found = root(near, report)
-    return found if found.converged else near  # a search without convergence may have diverged
+        return _fit(replace(found, converged=False), iterations, named, given, (setting,))
+    reasons = () if is_explained(found, given) else rank(found, given)
+    return _fit(found, iterations, named, given, reasons)
 
 
 class Extension(NamedTuple):
@@ -281,39 +213,37 @@ def _extensions(richer: Structure | None, stretch: str, relaxation: str) -> Iter
 
 
 def _extended(
-    found: Solution, given: Free, extensions: Iterable[Extension], report: Report
+    found: Solution, extensions: Iterable[Extension], report: Report
 ) -> Solution:
     """Return the solution of nested models, each extension kept if significant."""
     for extension in extensions:
         before = found
-        found = _tried(found, given, extension, report)
+        found = _tried(found, extension, report)
         if extension.refusal and found is before:
             raise UndeterminedError(NOTES[extension.refusal])
     return found
 
 
-def _tried(found: Solution, given: Free, extension: Extension, report: Report) -> Solution:
+def _tried(found: Solution, extension: Extension, report: Report) -> Solution:
     """
     Return the solution with an extension of the spring if significant, else without.
 
-    The score allows for errors of the given quantities; the covariance is from a jackknife, so
-    that held-out motion confirms the extension.
+    The covariance is from a jackknife, so that held-out motion confirms the extension.
     """
-    problem, (more, structure, holds, _) = found.problem, extension
+    more, structure, holds, _ = extension
 
     def place(wide: Problem) -> Places:
         couplings = structure.couplings if structure else []
         return np.asarray([*couplings, *(row for name in more for row in wide.places[name][0])])
 
-    near = found.freed({**more, **{
-        name: std for name, std in given.items() if name not in problem.places}}, structure)
+    near = found.freed(more, structure)
     H, g = near.information, near.slope
     rest = ~np.isin(np.arange(len(g)), place(near.problem))
     if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
         return found
-    end = settled(found.freed(more, structure), report)
-    if end.converged and misfit(end) < misfit(found) and holds(end, found):
-        x, tested = end.problem.units * end.theta, place(end.problem)
+    end = settled(near, report)
+    if end.converged and end.misfit < found.misfit and holds(end, found):
+        x, tested = end.problem.reported(end.theta), place(end.problem)
         C = covariance_of(end)[0][np.ix_(tested, tested)]
         if float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE:
             return end
@@ -349,51 +279,6 @@ def _explains_most(end: Solution, without: Solution) -> bool:
     return end.squares - noise <= max(0.5 * (without.squares - noise), 0.0)
 
 
-def with_given(found: Solution, given: Free, report: Report = no_report) -> Solution:
-    """
-    Return the minimum near another with given quantities free, by the priors of their deviations.
-
-    Without convergence the priors are propagated from the minimum with the given values.
-    """
-    more = {name: std for name, std in given.items() if name not in found.problem.places}
-    if not more or not found.is_plausible:
-        return found
-    near = found.freed(more)
-    if not near.is_finite:  # derivatives diverge for very wrong given quantities
-        return replace(found, converged=False)
-    end = settled(near, report)
-    return end if end.converged else replace(near, converged=True)
-
-
-def _with_further(found: Solution, further: Free, report: Report) -> Solution:
-    """
-    Return the minimum with further sensors, near the minimum without.
-
-    Raises
-    ------
-    UnexplainedError
-        If there is none within the deviations of the sensors' quantities.
-
-    """
-    end = settled(found.freed(further), report)
-    sizes, places = np.abs(end.theta) * np.sqrt(end.problem.weights), end.problem.places
-    off = {name: float(np.max(sizes[places[name]])) for name in further if KINDS[name].parameter}
-    worst = max(off, key=off.__getitem__)
-    if not end.converged or off[worst] > MAX_FURTHER_SIGMAS:
-        role, sensor = next(row for row in SENSORS.items() if worst in row[1].quantities)
-        raise UnexplainedError(NOTES['contradicting_sensor'].format(
-            role=role, remedy=sensor.remedy, what=(
-                f'{KINDS[worst].parameter} is off by {off[worst]:.0f} standard deviations'
-                if end.converged else 'the search finds no cup that fits both')))
-    return end
-
-
-def _without_bias(found: Solution) -> Solution:
-    """Return the solution of wrenches alone less the bias by noise of the tool."""
-    theta = found.problem.moved(found.theta, -noise_effects(found)[1])
-    return replace(evaluated(found.problem, theta, found.courses), converged=True)
-
-
 def _of_given(found: Solution, given: Free) -> Array:
     """Return the covariance (s, s), SI units, by the priors of freed given quantities."""
     problem, H = found.problem, found.information
@@ -401,38 +286,31 @@ def _of_given(found: Solution, given: Free) -> Array:
     for name in given.keys() & problem.places.keys():
         if np.array_equal(given[name], problem.free[name]):
             weights[problem.places[name]] = problem.weights[problem.places[name]]
-    C = H.covariance * problem.units[:problem.shared]
-    moved = H.carried @ C
-    return np.asarray(C.T @ (weights[:len(C), None] * C) + np.einsum(
+    C = problem.slopes(found.theta) @ H.covariance
+    moved = H.carried @ C.T
+    return np.asarray(C @ (weights[:C.shape[1], None] * C.T) + np.einsum(
         'ros,ro,rot->st', moved, weights[problem.own], moved))
 
 
-def covariance_of(
-    found: Solution, noise: Arrow | None = None
-) -> tuple[Array, Array, Array]:
+def covariance_of(found: Solution) -> tuple[Array, Array]:
     """
-    Return the covariance (s, s) of the shared unknowns, and variances (m,) of all, SI units.
+    Return the covariance (s, s) of the shared numbers, and variances (m,) of all, SI units.
 
-    The third result is the share of noise (m,) in their errors. Variances are from a jackknife.
+    The covariance is from a jackknife over seconds, at least that of the noise.
     """
     problem, H = found.problem, found.information
-    directions = np.linalg.inv(np.linalg.cholesky(H.reduced)).T
-    shares = np.zeros(len(directions))
-    if noise is not None:
-        shares, turn = np.linalg.eigh(directions.T @ noise.along(H) @ directions)
-        directions = directions @ turn
-    pool = problem.held.pool
+    directions, pool = np.linalg.inv(np.linalg.cholesky(H.reduced)).T, problem.held.pool
     counts, squares = zip(*pool.results(
         _influences, pool.each(list(map(H.block, range(len(problem.outlines))))),
         pool.each([np.vstack([directions, -carried @ directions]) for carried in H.carried]),
         found.parts), strict=True)
     scatter = np.maximum(1.0, _relative_variances(sum(counts), np.sum(squares, axis=0)))
-    wide = directions / (1.0 - np.clip(shares, 0.0, MAX_CORRECTED_SHARE))
-    covariance = (wide * scatter) @ wide.T
-    variances = H.variances_with(covariance, float(np.median(scatter)))
-    of_noise = 1.0 - np.sqrt(np.sum(directions**2, axis=1) / np.sum(wide**2, axis=1))
-    return (np.asarray(covariance * np.outer(*[problem.units[:problem.shared]] * 2)),
-            variances * problem.units**2, np.pad(of_noise, (0, problem.own.size)))
+    covariance = (directions * scatter) @ directions.T
+    variances = H.variances_with(covariance, float(np.median(scatter))) * problem.units**2
+    slopes = problem.slopes(found.theta)
+    covariance = np.asarray(slopes @ covariance @ slopes.T)
+    variances[:len(covariance)] = np.diag(covariance)
+    return covariance, variances
 
 
 def _influences(covariance: Array, directions: Array, parts: Parts) -> tuple[int, Array]:
@@ -461,7 +339,7 @@ def _without_last_fifth(found: Solution) -> Array:
     information, slope = (sum(numbers) for numbers in zip(*last, strict=True))
     size = slice(problem.count)
     step[size] = np.linalg.solve(found.information.shared[size, size] - information, -slope)
-    return (problem.units * problem.moved(found.theta, step))[size]
+    return problem.reported(problem.moved(found.theta, step))[size]
 
 
 def _last_fifth(count: int, parts: Parts) -> tuple[Array, Array]:
@@ -490,10 +368,9 @@ def _fit(
     reasons: tuple[Finding, ...],
 ) -> Fit:
     """Return the result of a solution, with the covariance of identifiable parameters."""
-    problem, size, x = found.problem, found.problem.count, found.problem.units * found.theta
+    problem, size, x = found.problem, found.problem.count, found.problem.reported(found.theta)
     covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
     own_std = np.where(identifiable, std, np.inf)
-    notes += [NOTES['felt_alone']] * (not problem.is_seen)
     used, information = found.residual_count // 6, found.information.shared[:size, :size]
     fit = Fit(
         method='output_error',
@@ -505,7 +382,7 @@ def _fit(
         samples_used=used,
         samples_rejected=sum(outline.poses for outline in problem.outlines) - used,
         condition_number=inverted(information, np.sqrt(np.diag(information)))[2],
-        weight=np.diag(found.pose_std[0][0] ** -2),
+        weight=np.diag(1.0 / found.mean_square),
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes),
         misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
@@ -515,8 +392,8 @@ def _fit(
         converged=found.converged,
         iterations=tuple(iterations),
         causes=reasons,
-        standstills=(len(problem.standstills), problem.local.at_rest(
-            found.theta[problem.index(0)])[2]) if problem.standstills else None,
+        standstills=(len(problem.standstills), at_rest(
+            problem.local, found.theta[problem.index(0)])[2]) if problem.standstills else None,
         noise_in_motion=found.noise_in_motion,
         stretch=problem.stretch(found.theta),
         **_of_quantities(problem, x, own_std, np.pad(
@@ -579,11 +456,7 @@ def _identifiable(
     identifiable numbers, and notes on the others.
     """
     problem, size = found.problem, found.problem.count
-    noise, bias = noise_effects(found) if found.converged else (None, np.zeros(len(found.theta)))
-    covariance, variances, shares = covariance_of(found, noise)
-    if not problem.is_seen:  # the bias was subtracted, see `_without_bias`
-        covariance = covariance + np.outer(*[(bias * problem.units)[:problem.shared]] * 2)
-        variances = variances + (bias * problem.units) ** 2
+    covariance, variances = covariance_of(found)
     of_given = _of_given(found, given)
     by_given = np.pad(np.diag(of_given), (0, problem.own.size))
     largest = np.full(len(variances), np.inf)
@@ -593,39 +466,36 @@ def _identifiable(
         largest[problem.places[name]] = KINDS[name].max_std
     std = np.sqrt(np.maximum(variances - by_given, 0.0))
     total = np.where(np.arange(len(std)) < size, np.hypot(std, np.sqrt(by_given)), std)
-    is_noise = (shares > MAX_NOISE_SHARE) & (std > MAX_NOISY_ERROR * largest)
-    identifiable = (total <= largest) & ~is_noise & found.converged
+    identifiable = (total <= largest) & found.converged
     of_K, of_P = slice(size // 2), slice(size // 2, size)
     is_loaded = np.array([label == LOADED_PARAMETER or bool(problem.structure.places)
                           for label in problem.structure.labels])
     identifiable[of_K] &= (
         identifiable[of_P] | (is_loaded | (std <= MAX_NOISY_ERROR * largest)[:size])[of_K])
     notes = [_unidentifiable(problem, problem.structure.labels[i], *(
-        float(numbers[i]) for numbers in (std / largest, total / largest, shares * is_noise)))
+        float(numbers[i]) for numbers in (std / largest, total / largest)))
              for i in np.flatnonzero(~identifiable[:size])]
     return covariance - of_given, of_given, std, identifiable, notes
 
 
 def _unidentifiable(
-    problem: Problem, label: str, alone: float, total: float, of_noise: float
+    problem: Problem, label: str, alone: float, total: float
 ) -> str:
     """
     Return a sentence on an unidentifiable number, with a remedy.
 
     Standard errors by the recordings alone and in total are relative to the largest of an
-    identifiable number; the share of noise in the information is zero if it does not decide.
+    identifiable number.
     """
     error = MAX_RELATIVE_ERROR * alone
-    if of_noise and (1.0 - of_noise) * error < 1.0:
-        words = 'noise_moves_it'
-    elif total <= 1.0:
+    if total <= 1.0:
         words = 'still'
     elif alone <= 1.0:
         words = 'vague'
     else:
         words = 'unknown' if error >= 1.0 else 'uncertain'  # limited by the prior
     return NOTES[words].format(
-        label=label, share=of_noise, how=remedy_for(label, problem.structure),
+        label=label, how=remedy_for(label, problem.structure),
         error=100.0 * error, total=100.0 * MAX_RELATIVE_ERROR * total, noise=100.0 / alone,
         times=alone**2, one_cup=', or one of one cup alone' if problem.structure.places else '')
 

@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 import tomllib
 from types import MappingProxyType
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model import jacobians as jac
-from bellows_ros.core.model import pseudo_inertia
 from bellows_ros.core.model.cup_package import gravity_vector, Package, varied
 from bellows_ros.core.model.structure import INERTIA_STD
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
@@ -21,21 +20,40 @@ from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.sensors import body
-from bellows_ros.core.sensors.readings import Kind, Readings
-from bellows_ros.core.sensors.table import SENSORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 
-KINDS: Mapping[str, Kind] = {
-    **{name: Kind(**numbers) for name, numbers in tomllib.loads(
-        Path(__file__).with_name('quantities.toml').read_text()).items()},
-    **{name: kind for sensor in SENSORS.values() for name, kind in sensor.quantities.items()}}
-"""Kinds by their names in fit.free, and of further sensors."""
 
-COLUMNS: Mapping[str, slice] = {
-    'length': jac.BY_LENGTH, 'length_drift': jac.BY_LENGTH, 'com': jac.BY_COM,
-    'relaxation': slice(-2, None), 'slip': slice(jac.BY_COM.start, jac.BY_COM.start + 2)}
-"""Columns of the quantities among `jacobians.PARAMETER_COLUMNS`."""
+class Kind(NamedTuple):
+    """
+    A kind of quantity that may be estimated jointly with K and P, see `quantities.toml`.
+
+    Parameters
+    ----------
+    unit : float
+        Unit of the search, SI units.
+    size : int
+        Number of values.
+    max_std : float
+        Largest standard error of an identifiable quantity.
+    prior_std : float
+        Standard deviation of a weak prior.
+    each : bool
+        Whether every recording has values of its own.
+
+    """
+
+    unit: float
+    size: int
+    max_std: float
+    prior_std: float
+    each: bool = False
+
+
+KINDS: Mapping[str, Kind] = {
+    name: Kind(**numbers) for name, numbers in tomllib.loads(
+        Path(__file__).with_name('quantities.toml').read_text()).items()}
+"""Kinds by their names in fit.free."""
 
 STRETCH_UNITS = np.array([1e3, 1.0])
 """Units of the two coefficients of stretch in a search, N/m^2 and N."""
@@ -73,31 +91,6 @@ def gravity_of(gravity: Array | float, free: Free) -> Array:
                       @ gravity_vector(gravity))
 
 
-def model_columns(
-    name: str, payload: Package, gravity: Array | float, free: Free, count: int
-) -> Array:
-    """Return derivatives (count, size) of the model's parameters by a free quantity."""
-    parameters = np.eye(count)
-    if name == 'gravity':
-        after, before = (np.transpose([
-            gravity_of(gravity, {name: free[name] + step}) for step in size * np.eye(2)])
-            for size in (1e-4, -1e-4))
-        return np.asarray(parameters[:, jac.BY_GRAVITY] @ (after - before) / 2e-4)
-    if name in COLUMNS:
-        return parameters[:, COLUMNS[name]]
-    if name == 'stretch':
-        return np.asarray(parameters[:, jac.BY_STRETCH] * STRETCH_UNITS)
-    if name == 'mass':
-        return np.asarray(payload.mass * parameters[:, jac.BY_MASS])
-    if name == 'inertia':
-        rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-        stretch = pseudo_inertia.by_moments(payload.inertia)
-        by_log = payload.inertia[rows, columns][:, None] * (stretch[rows] + stretch[columns])
-        by_log[:3] = np.diag(np.diag(payload.inertia))
-        return np.asarray(parameters[:, jac.BY_INERTIA] @ by_log)
-    return np.zeros((count, KINDS[name].size))
-
-
 def given_std(values: Values) -> dict[str, Array]:
     """Return the standard deviations of given quantities, by names of `KINDS`, SI units."""
     marker = np.repeat(values.recording.marker_std, 3)
@@ -118,26 +111,10 @@ def given_std(values: Values) -> dict[str, Array]:
     return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
 
 
-def deviations_of(readings: Iterable[Readings]) -> Free:
-    """
-    Return the standard deviations of the quantities of further sensors.
-
-    Given quantities that they determine have weak priors.
-    """
-    return {name: np.maximum(std, MIN_STD) for each in readings for name, std in (
-        *weak_prior(each.determined).items(), *each.deviations.items())}
-
-
 def _exposure_std(values: Values) -> Array:
     """Return the relative standard deviation of the exposure, 0 for a tracked body."""
     is_unknown = values.measured.tag_size > 0.0 and not values.measured.exposure
     return np.array([float(is_unknown)])
-
-
-def stated(given: Free) -> list[str]:
-    """Return the names of given quantities whose uncertainty the user stated."""
-    return [name for name, std in given.items()
-            if name in PACKAGE_STD and np.any(std != PACKAGE_STD[name])]
 
 
 def as_found(recording: Recording, found: Free, number: int) -> Recording:

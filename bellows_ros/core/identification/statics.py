@@ -2,23 +2,14 @@
 The cup's length from standstills (4.2), and their part of a fit.
 
 Lengths of the cup under several loads, extrapolated, give its length without load.
-
-Standstills are part of a fit: the deviations of their mean poses from the equilibrium of the model
-add to the information on all unknowns.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
-from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.model.equilibrium import linearise, pose_error, static_equilibrium
-from bellows_ros.core.model.jacobians import PARAMETER_COLUMNS, parameter_jacobian
-from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.recording.standstills import Standstill
-from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -210,30 +201,3 @@ def _linear_range(coefficients: Array, largest: float) -> float:
     bent = np.abs(polyval(loads, coefficients) - tangent) > 0.05 * np.abs(
         coefficients[1] * loads)
     return float(loads[int(np.argmax(bent))]) if bent.any() else largest
-
-
-def _state(body: Trajectory) -> State:
-    """Return the state at rest in the first pose of a body."""
-    return state_row(body.position[0], lie.rotation_to_quaternion(body.rotation[0]))
-
-
-def balance(model: ModelTuple, tool: Trajectory, package: Trajectory) -> tuple[Array, Array]:
-    """
-    Return the deviation (6,) of a package at rest from its equilibrium (3.9), and its derivatives.
-
-    The equilibrium's derivatives (6, `PARAMETER_COLUMNS`) by the parameters of the model are -A^-1
-    B, from the derivatives A and B of the acceleration, which is zero there, by pose and by
-    parameters. Both are in body axes, m and rad.
-
-    Raises
-    ------
-    UnstableError
-        If the cup cannot hold the package.
-
-    """
-    hand, measured = _state(tool), _state(package)
-    rest = static_equilibrium(model, hand, measured)
-    changes: Array = np.zeros((6, PARAMETER_COLUMNS))
-    parameter_jacobian(model, hand, rest, 0, PARAMETER_COLUMNS, changes)
-    return (np.concatenate(pose_error(rest, *measured[:2])),
-            np.asarray(-np.linalg.solve(linearise(model, hand, rest).body_pose, changes)))

@@ -29,7 +29,6 @@ from bellows_ros.core.recording.alignment import (
 )
 from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.sensors.corners import CornerNoise, Tag, TagViews
-from bellows_ros.core.sensors.readings import Readings
 from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
 from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
@@ -559,8 +558,6 @@ class Recording:
         Name, bytes and sha256 of each of its files.
     seen : TagViews, optional
         Views of a tag with the estimates of a fit, instead of the settings.
-    further : tuple of Readings
-        Measurements of further sensors.
 
     """
 
@@ -578,7 +575,6 @@ class Recording:
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
     seen: TagViews | None = None
-    further: tuple[Readings, ...] = ()
     _cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:

@@ -3,10 +3,11 @@
 from dataclasses import replace
 import functools
 
-from bellows_ros.core.identification.problem import Problem
 from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.residuals import at_rest
 from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.identification.statics import cup_length_of
+from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
@@ -188,31 +189,12 @@ def problem_at_rest(free, seed=1, standstills=None):
     return problem, problem.start
 
 
-def test_derivatives_of_standstills_are_those_of_their_deviations():
-    """By differences, off the minimum, for a marker and a centre of mass that shifts the lip."""
-    names = ['com', 'length', 'mass', 'gravity', 'package_marker', 'stretch']
-    still = [replace(each, moves_with_com=(True, False, False)) for each in resting(1)]
-    problem, start = problem_at_rest(names, standstills=still)
-    theta = start + 1e-3 * np.random.default_rng(3).normal(size=len(start))
-    J, r, chi2 = problem.at_rest(theta)
-    step = 1e-5
-    for column in range(len(theta)):
-        ends = []
-        for side in (step, -step):
-            moved = theta.copy()
-            moved[column] += side
-            _, end, scale = problem.at_rest(moved)
-            ends.append(end * max(scale, 1.0) ** 0.5)
-        slope = (ends[1] - ends[0]) / (2.0 * step) / max(chi2, 1.0) ** 0.5
-        assert_allclose(J[:, column], slope, atol=2e-3 * np.abs(J).max(axis=0)[column] + 1e-6)
-
-
 def test_standstills_of_the_truth_have_the_chi2_of_their_errors():
     sizes = [problem_at_rest([], seed)[0] for seed in range(4)]
-    chi2 = [problem.at_rest(problem.start)[2] for problem in sizes]
+    chi2 = [at_rest(problem, problem.start)[2] for problem in sizes]
     assert 0.3 < np.mean(chi2) < 2.0
     stiffer = problem_at_rest([])[0]
     theta = stiffer.start.copy()
-    theta[:stiffer.count // 2] *= 1.1
-    J, r, chi2 = stiffer.at_rest(theta)
+    theta[:stiffer.count // 2] += 0.1 * np.equal(*np.transpose(stiffer.structure.leads))
+    J, r, chi2 = at_rest(stiffer, theta)
     assert chi2 > 10.0 and np.mean(r**2) == pytest.approx(1.0)

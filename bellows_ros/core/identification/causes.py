@@ -19,10 +19,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.identification.problem import Problem
-from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
-from bellows_ros.core.identification.result import CHANCE, DISTINCT, Finding, MATERIAL
-from bellows_ros.core.identification.search import (
+from bellows_ros.core.identification.estimate import (
     approach,
     MAX_NOISE_CHI2,
     minimise,
@@ -30,13 +27,16 @@ from bellows_ros.core.identification.search import (
     settled,
     Solution,
 )
+from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
+from bellows_ros.core.identification.residuals import BLOCK_DURATION, Part
+from bellows_ros.core.identification.result import CHANCE, DISTINCT, Finding, MATERIAL
 from bellows_ros.core.identification.segments import (
     MeasuredSegment,
     Outline,
     outline_of,
     Segments,
 )
-from bellows_ros.core.identification.whitening import BLOCK_DURATION, WhitenedSegment
+from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.model.cup_package import Cup, gravity_vector, Package
 from bellows_ros.core.recording.alignment import levelling, R_WORLD_MOTIVE
 from bellows_ros.core.sensors.body import of_fixed_frame
@@ -192,12 +192,6 @@ def beyond_chance(problem: Problem, name: str, fall: float) -> float:
     return max(math.sqrt(fall) - math.sqrt(others), 0.0) ** 2
 
 
-def misfit(found: Solution) -> float:
-    """Return chi² with the priors of given quantities; a deviance for estimated noise."""
-    given = float(found.problem.weights @ found.theta**2)
-    return given + (found.deviance if found.problem.is_slow else found.squares)
-
-
 class Alternative(NamedTuple):
     """A solution with one quantity free without its given value, and its fall of chi²."""
 
@@ -227,7 +221,7 @@ def freed(before: Solution, name: str) -> Alternative:
     if not (before.is_plausible and found.converged):
         found = minimise(problem.freed(problem.start, more))
     return Alternative(name, found, beyond_chance(
-        found.problem, name, misfit(before) - misfit(found)))
+        found.problem, name, before.misfit - found.misfit))
 
 
 def rank(end: Solution, given_std: Free) -> tuple[Finding, ...]:
@@ -264,20 +258,11 @@ def rank(end: Solution, given_std: Free) -> tuple[Finding, ...]:
         return (frame,)
     findings = [_finding(end, one, one.gain / total, falls) for one in tried]
     rivals = falls | {one.name: one.gain for one in tried}
-    if best and _is_certain(end, _with_given(best, given_std), rivals, given_std):
+    if best and _is_certain(end, best, rivals, given_std):
         return (findings[0]._replace(certain=True), *findings[1:MAX_CAUSES])
     if end.fits:
         return tuple(findings[:MAX_CAUSES])
     return (unknown(end), *findings[:MAX_CAUSES])
-
-
-def _with_given(one: Alternative, given_std: Free) -> Alternative:
-    """Return a candidate with given quantities free by their standard deviations, if needed."""
-    more = {name: std for name, std in given_std.items() if name not in one.found.problem.places}
-    if one.found.fits or not one.found.is_plausible or not more:
-        return one
-    wide = settled(one.found.freed(more))
-    return one._replace(found=wide) if wide.converged else one
 
 
 def misfit_beyond_noise(found: Solution) -> float:
@@ -365,7 +350,7 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
     return chosen
 
 
-def _slip_scores(own: Array, C: Array, parts: Sequence[WhitenedSegment]) -> list[Array]:
+def _slip_scores(own: Array, C: Array, parts: Sequence[Part]) -> list[Array]:
     """Return the fall of chi² by a slip at the beginning of each block of each segment."""
     information = np.concatenate([part.information for part in parts])[::-1].cumsum(axis=0)[::-1]
     slope = np.concatenate([part.slope for part in parts])[::-1].cumsum(axis=0)[::-1]
@@ -391,7 +376,7 @@ def unknown(end: Solution) -> Finding:
 
 
 def _span(
-    axis: int, place: int, begin_ns: int, segments: Segments, parts: Sequence[WhitenedSegment]
+    axis: int, place: int, begin_ns: int, segments: Segments, parts: Sequence[Part]
 ) -> Array:
     """Return where the residual of a segment is largest: time span (s) and band (Hz)."""
     segment, values = segments[place], parts[place].innovations.reshape(-1, 6)[:, axis]
@@ -429,7 +414,7 @@ def _other_frame(end: Solution, best: Alternative) -> Finding | None:
     with_com = freed(other, 'com')
     left = np.linalg.norm(with_com.found.estimate('com')[0])
     if not with_com.found.fits or left > MIN_FRAME_SHIFT * com or (
-            misfit(end) - misfit(with_com.found) < best.gain - SIGNIFICANT**2):
+            end.misfit - with_com.found.misfit < best.gain - SIGNIFICANT**2):
         return None
     return Finding('recording.package_frame', 'com' if is_lip else 'lip')
 
@@ -499,18 +484,17 @@ def likeliest_setting(near: Solution, cup: Cup) -> Finding | None:
     best setting is fitted to all segments. If two frames cannot be distinguished, the finding
     names both.
     """
-    problem = near.problem
-    problem = problem.freed(problem.unknowns(cup), {})
+    problem = near.problem.from_cup(cup)
     squares = [np.sum(sums.squares, axis=1) for sums in near.sums]
     order = sorted(range(len(squares)), key=lambda number: float(np.max(squares[number])))
     numbers = list({problem.outlines[number].payload.mass: number for number in order}.values())
     held, pool = problem.held.only(numbers), problem.held.pool
     worst = problem.with_segments(*pool.hold(
         _segment, pool.each([int(np.argmax(squares[number])) for number in numbers]), held))
-    ends = [(approach(worst, with_couplings=False).squares, Finding('', ''))]
+    ends = [(approach(worst).squares, Finding('', ''))]
     for finding, change in settings_of(worst.outlines):
         with suppress(BellowsError):  # no cup explains this setting
-            ends.append((approach(worst.changed(change), with_couplings=False).squares, finding))
+            ends.append((approach(worst.changed(change)).squares, finding))
     least, likeliest = min(ends, key=itemgetter(0))
     other = next((change for finding, change in settings_of(problem.outlines)
                   if finding[:2] == likeliest[:2]), None)

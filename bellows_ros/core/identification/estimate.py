@@ -1,0 +1,501 @@
+"""
+Search for K and P with which the model, driven by the tool, reproduces all poses.
+
+The first stage follows the measured path of the tool, with trust regions about the unknowns. In
+the second stage the steps are Gauss-Newton steps, and the path of the tool and the noise of slow
+poses are renewed with each: along the likeliest path the mean of the steps is zero at the truth,
+unlike the gradient of chi² along the measured one.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+import math
+from typing import Any, NamedTuple
+
+from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.identification import residuals
+from bellows_ros.core.identification.information import Arrow, symmetric_roots
+from bellows_ros.core.identification.pool import Held
+from bellows_ros.core.identification.quantities import Free
+from bellows_ros.core.identification.residuals import HUBER_STD, Part
+from bellows_ros.core.identification.result import CHANCE
+from bellows_ros.core.identification.segments import Course, Segments
+from bellows_ros.core.identification.unknowns import MIN_STRENGTH, Problem
+from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.signals.resampling import MAD_TO_STD
+from bellows_ros.errors import BellowsError
+import numpy as np
+
+DAMPING = 1e-2
+"""Damping of the first step, and after a failed one: it limits poorly determined unknowns."""
+
+ANDERSON_DEPTH = 3
+"""Number of previous steps mixed into a step."""
+
+MAX_ANDERSON_WEIGHT = 0.9
+"""Largest weight of a previous step: 0.9 for a step that is 10 times too long."""
+
+NOISE_TOLERANCE = 0.03
+"""Relative change of the noise of slow poses below which the noise is kept."""
+
+MAX_STEPS = 30, 20
+"""Largest number of steps in the two stages; with a misfit the second has half as many."""
+
+MAX_DAMPING = 10.0
+"""Largest ratio of damping to ordinary damping of a plausible cup."""
+
+MAX_STIFFENING = 100.0
+"""Largest ratio of stiffness to the start of a plausible cup."""
+
+USUAL_CORNER = 1e-3
+"""Largest error of a tag's corner by noise, rad: one to two pixels."""
+
+MAX_NOISE_CHI2 = 1.2
+"""Largest chi^2 per difference attributed to noise, without a warning."""
+
+MISFIT_CHI2 = 1.5
+"""Smallest chi^2 per difference of a certain misfit."""
+
+GROSS_CHI2 = 4.0
+"""Smallest chi^2 per difference of a misfit for which no likeliest path is searched."""
+
+TOLERANCES = 3.0, 3e-3
+"""Squared length of a step at the end of each stage, squared standard errors: K and P then move by
+some and by 5 % of a standard error."""
+
+LOOSE_TOLERANCE = 0.1
+"""Largest squared length of the last step, as barely identifiable numbers keep oscillating."""
+
+MAX_SMALL_RISE = 1.001
+"""Ratio of two Huber's sums in the first stage that are equal, as priors may raise it a little."""
+
+MIN_STEP_DAMPING, MAX_STEP_DAMPING = 1e-5, 1e6
+"""Damping below which steps are undamped, and above which a search ends."""
+
+SHORTER = 0.25
+"""Fraction of a step that is tried if chi² increases with the whole step."""
+
+MAX_RISE = 1.2
+"""Largest ratio of Huber's sum after a step to the sum before: weights change in a step."""
+
+Report = Callable[[Cup, float], None]
+"""Callback with the cup and chi^2 after a step."""
+
+
+def no_report(cup: Cup, chi2: float) -> None:
+    """Report nothing."""
+
+
+Parts = tuple[Part, ...]
+"""Whitened segments of one recording."""
+
+
+class Sums(NamedTuple):
+    """
+    Sums over a recording.
+
+    Number (K,) and squares (K, 6) of the differences of each segment, squares (6,) without
+    whitening, m^2 and rad^2, and the sums of the logarithms of their variances and of the products
+    of neighbours.
+    """
+
+    counts: Array
+    squares: Array
+    residuals: Array
+    logs: float
+    neighbours: float
+
+    @classmethod
+    def of(cls, parts: Parts) -> 'Sums':
+        """Return the sums of whitened segments."""
+        r = [part.innovations for part in parts]
+        return cls(
+            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
+            np.sum([np.sum(part.residuals**2, axis=0) for part in parts], axis=0),
+            sum(part.logs for part in parts), sum(float(np.sum(e[1:] * e[:-1])) for e in r))
+
+
+def innovations_of(parts: Parts) -> Array:
+    """Return the innovations (N, 6) of a recording."""
+    return np.concatenate([part.innovations for part in parts])
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """
+    Unknowns of a problem, with the differences of a simulation about courses.
+
+    Parameters
+    ----------
+    problem : Problem
+        Recordings and unknowns.
+    theta : ndarray (m,)
+        Unknowns.
+    courses : Held
+        Motion of the tool in each segment, and the noise of the package's poses.
+    parts : Held
+        Whitened segments of each recording.
+    sums : sequence of Sums
+        Sums over each recording.
+    information, slope : Arrow, ndarray (m,)
+        Information on the unknowns, and slope.
+    converged : bool
+        Whether it is a minimum.
+
+    """
+
+    problem: Problem
+    theta: Array
+    courses: Held
+    parts: Held
+    sums: Sequence[Sums]
+    information: Arrow
+    slope: Array
+    converged: bool = False
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the simulation does not diverge."""
+        return bool(np.all(np.isfinite(self.slope)))
+
+    @cached_property
+    def residual_count(self) -> int:
+        """Number of differences."""
+        return int(sum(np.sum(one.counts) for one in self.sums))
+
+    @cached_property
+    def squares(self) -> float:
+        """Sum of squared differences."""
+        return float(sum(np.sum(one.squares) for one in self.sums))
+
+    @property
+    def deviance(self) -> float:
+        """-2 log likelihood at the best common scale of all variances."""
+        return self.residual_count * math.log(self.squares / self.residual_count) + sum(
+            one.logs for one in self.sums)
+
+    @property
+    def misfit(self) -> float:
+        """Chi² with the priors of given quantities; a deviance for estimated noise."""
+        given = float(self.problem.weights @ self.theta**2)
+        return given + (self.deviance if self.problem.is_slow else self.squares)
+
+    @cached_property
+    def _median_squares(self) -> Array:
+        """Squared medians (7,) of the differences, of all and by axis, insensitive to tails."""
+        sizes = np.abs(np.concatenate(self.parts.pool.results(innovations_of, self.parts)))
+        return np.asarray(MAD_TO_STD * np.append(
+            np.median(sizes), np.median(sizes, axis=0))) ** 2
+
+    @property
+    def robust_chi2(self) -> float:
+        """Chi^2 per difference from their median."""
+        return float(self._median_squares[0])
+
+    @property
+    def worst_chi2(self) -> float:
+        """Robust chi^2 per difference of the axis with the largest."""
+        return float(self._median_squares[1:].max())
+
+    @property
+    def colour(self) -> float:
+        """Factor of chi² by memory and tails of the noise, relative to white normal noise."""
+        kept = sum(one.neighbours for one in self.sums) / max(self.squares, 1e-99)
+        kept = min(max(kept, 0.0), 0.95)
+        return max(self.squares / self.residual_count, 1.0) * (1.0 + kept) / (1.0 - kept)
+
+    @property
+    def mean_square(self) -> Array:
+        """The mean squares (6,) of the differences of all segments, m^2 and rad^2."""
+        total = np.sum([one.residuals for one in self.sums], axis=0)
+        return np.asarray(6.0 * total / self.residual_count)
+
+    def of_each(self, function: Callable[[Segments, Any, Parts], Any]) -> list[Any]:
+        """Return a function of the segments, courses and differences of each recording."""
+        held = self.problem.held
+        return held.pool.results(function, held, self.courses, self.parts)
+
+    @property
+    def cup(self) -> Cup:
+        return self.problem.cup(self.theta)
+
+    def freed(self, more: Free, structure: Structure | None = None) -> 'Solution':
+        """Return the start of a problem with more free quantities, with equal cup and courses."""
+        wide = self.problem.freed(self.theta, more, structure)
+        return evaluated(wide, wide.transferred(self.problem, self.theta), self.courses)
+
+    def estimate(self, name: str) -> tuple[Array, Array]:
+        """Return the estimate of a free quantity, SI units, with its standard errors."""
+        problem = self.problem
+        place, std = problem.places[name].ravel(), np.sqrt(self.information.variances)
+        return problem.reported(self.theta)[place], (problem.units * std)[place]
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether the search converged to a cup that is neither too stiff nor too damped."""
+        inverse = symmetric_roots(self.problem.first_cup.stiffness)[1]
+        stiffness = inverse @ self.cup.stiffness @ inverse
+        return bool(self.converged and self.problem.largest_damping(self.theta) < MAX_DAMPING
+                    and np.linalg.eigvalsh(stiffness)[-1] < MAX_STIFFENING)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the search ended at a plausible cup without a misfit."""
+        return self.is_plausible and self.worst_chi2 * max(self.learned, 1.0) < MISFIT_CHI2
+
+    @cached_property
+    def learned(self) -> float:
+        """
+        Ratio of the estimated variance of slow poses to their variance at rest.
+
+        The ratio is below 1 only by chance. Segments with white residuals are excluded, because
+        their larger noise is noise in motion; a misfit has correlated residuals.
+        """
+        return float(max(self.of_each(_learned)))
+
+    @property
+    def noise_in_motion(self) -> dict[int, Array]:
+        """
+        Standard deviations (6,) of white noise in motion by recording, m and rad.
+
+        For views of a tag it is the `CornerNoise` (2,), rad and 1/rad.
+        """
+        return {number: std for number, std in enumerate(self.of_each(_noise_in_motion))
+                if std is not None}
+
+
+def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> float:
+    """Return `Solution.learned` of a recording."""
+    if segments[0].views:
+        return max((course.corners.sigma / USUAL_CORNER) ** 2 * (not part.is_white)
+                   for course, part in zip(courses, parts, strict=True))
+    return max((
+        float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
+        for segment, course, part in zip(segments, courses, parts, strict=True)
+        for noise in [segment.measured.package_noise] if not part.is_white
+        for share in np.split((course.std / noise.std) ** 2, 2)), default=0.0)
+
+
+def _noise_in_motion(
+    segments: Segments, courses: Sequence[Course], parts: Parts
+) -> Array | None:
+    """Return `Solution.noise_in_motion` of a recording."""
+    found = None
+    for segment, course, part in zip(segments, courses, parts, strict=True):
+        if segment.views:  # in full, as what uses it gives large errors no lesser weight
+            h = np.abs(innovations_of(parts))
+            raw = np.where(h > HUBER_STD, h**2 / HUBER_STD, h)
+            return np.asarray(np.sqrt(np.mean(raw**2)) * np.array(course.corners))
+        if segment.is_slow and part.is_white:
+            found = np.maximum(course.std, segment.measured.package_noise.std)
+    return found
+
+
+def minimise(problem: Problem, report: Report = no_report) -> Solution:
+    """Return the root of a problem, searched from its initial guess, with a callback."""
+    return settled(approach(problem, report), report)
+
+
+def approach(problem: Problem, report: Report = no_report) -> Solution:
+    """Return the end of the first stage, along the measured paths, with the noise renewed."""
+    rough = replace(problem, is_rough=True)
+    near = _near(evaluated(rough, problem.start, measured_courses(rough)), report)[0]
+    return replace(near, problem=problem, courses=renewed(near)[0])
+
+
+def measured_courses(problem: Problem) -> Held:
+    """Return the motions as measured."""
+    return problem.held.pool.keep(_first, problem.held)
+
+
+def _first(segments: Segments) -> tuple[Course, ...]:
+    return tuple(segment.first for segment in segments)
+
+
+def _near(at: Solution, report: Report) -> tuple[Solution, bool]:
+    """Return the end of damped steps that reduce Huber's sum, and whether it is a minimum."""
+    is_last, damping, used = False, DAMPING, np.ones(len(at.theta), dtype=bool)
+    used[np.ravel(at.problem.places.get('exposure', ())).astype(int)] = False
+    for _ in range(MAX_STEPS[0]):
+        if not at.is_finite or damping > MAX_STEP_DAMPING or (
+                at.squares < MISFIT_CHI2 * at.residual_count):
+            break
+        information, slope = _tempered(at)
+        step = _damped_step(at, information.damped(damping), slope, used)
+        length = _squared_length(at, step, information)
+        new = _moved(at, step, renewed(at, False)[0])
+        if new is None or not new.squares < MAX_SMALL_RISE * at.squares:
+            damping = max(10.0 * damping, DAMPING)
+            continue
+        is_last = new.squares * MAX_SMALL_RISE > at.squares or (
+            length < TOLERANCES[0] and damping <= DAMPING)
+        at, damping = new, 0.1 * damping if damping > MIN_STEP_DAMPING else 0.0
+        report(at.cup, at.squares / at.residual_count)
+        if is_last:
+            break
+    return at, is_last
+
+
+def settled(start: Solution, report: Report = no_report) -> Solution:
+    """
+    Return the root near a start, or the best solution.
+
+    Damped steps are first, if there is a misfit; then path and noise are renewed with each step.
+    """
+    try:  # the first stage may end at too fast a cup
+        at, is_last = _near(evaluated(start.problem, start.theta, start.courses), report)
+    except BellowsError:
+        return replace(start, converged=False)
+    if at.squares > GROSS_CHI2 * at.residual_count:  # which paths would explain in part
+        return replace(at, converged=is_last)
+    history, damping = list[tuple[Array, Array]](), 0.0
+    used, best, least = np.ones(len(at.theta), dtype=bool), at, math.inf
+    for number in range(MAX_STEPS[1]):
+        if not at.is_finite or damping > MAX_STEP_DAMPING or (
+                number >= MAX_STEPS[1] // 2 and at.robust_chi2 > MISFIT_CHI2):
+            break
+        courses, is_kept = renewed(at)
+        step = _damped_step(at, at.information.damped(damping), at.slope, used)
+        length = _squared_length(at, step, at.information)
+        if is_kept and damping <= DAMPING and length < least:
+            best, least = at, length
+        if least < TOLERANCES[1]:
+            break
+        new = None
+        for trial in (_anderson_step(step, at.information, history), SHORTER * step):
+            new = _moved(at, trial, courses)
+            if new is not None and new.deviance < at.deviance + (
+                    at.residual_count * math.log(MAX_RISE)):
+                break
+            new = None
+        if new is None:
+            history, damping = [], max(10.0 * damping, DAMPING)
+            continue
+        history = [*history, (step, new.theta - at.theta)][-ANDERSON_DEPTH:]
+        at, damping = new, 0.1 * damping if damping > MIN_STEP_DAMPING else 0.0
+        report(at.cup, at.squares / at.residual_count)
+    return replace(best, converged=least < LOOSE_TOLERANCE)
+
+
+def _tempered(at: Solution) -> tuple[Arrow, Array]:
+    """Return information and slope with the noise that explains the misfit."""
+    part = 1.0 - 1.0 / max(at.squares / at.residual_count, 1.0)
+    prior, slope = at.problem.prior(at.theta)
+    return replace(at.information, **{
+        name: (1.0 - part) * getattr(at.information, name) + part * getattr(prior, name)
+        for name in ('shared', 'coupling', 'own')}), (1.0 - part) * at.slope + part * slope
+
+
+def renewed(at: Solution, with_noise: bool = True) -> tuple[Held, bool]:
+    """Return the likeliest courses, and whether the noise of slow poses is nearly unchanged."""
+    held = at.problem.held
+    courses, settles = held.pool.hold(
+        _renewed, with_noise, at.problem.is_rough, held, at.courses, at.parts)
+    return courses, all(settles)
+
+
+def _renewed(
+    with_noise: bool, is_rough: bool, segments: Segments, courses: Sequence[Course], parts: Parts
+) -> tuple[tuple[Course, ...], bool]:
+    """Return `renewed` of a recording, the first states alone without noise."""
+    if not with_noise:
+        return tuple(course._replace(start=part.course.start)
+                     for course, part in zip(courses, parts, strict=True)), True
+    new, settles = [], True
+    corners, change = courses[0].corners, 0.0
+    if segments[0].views and not is_rough:
+        corners, change = corners.estimated(
+            np.concatenate([part.smear for part in parts]), np.mean(np.clip(
+                innovations_of(parts), -HUBER_STD, HUBER_STD) ** 2, axis=1))
+        if change < 2.0 * NOISE_TOLERANCE:
+            corners, change = courses[0].corners, 0.0
+    for segment, course, part in zip(segments, courses, parts, strict=True):
+        std = course.std
+        if segment.is_slow and (is_rough or not segment.views) and np.any(
+                np.abs(part.std - std) > NOISE_TOLERANCE * std):
+            std, settles = part.std, False
+        new.append(part.course._replace(std=std, corners=corners))
+    return tuple(new), settles and not change
+
+
+def _moved(at: Solution, step: Array, courses: Held) -> Solution | None:
+    """Return the solution after a step about courses, if its simulation is possible."""
+    with suppress(BellowsError):  # too short or fast a cup, or too large a clock offset
+        new = evaluated(at.problem, at.problem.moved(at.theta, step), courses)
+        if new.is_finite:
+            return new
+    return None
+
+
+def _damped_step(at: Solution, information: Arrow, slope: Array, used: Mask) -> Array:
+    """Return the step of the used unknowns (m,), with nonnegative strengths of relaxation."""
+    problem, used = at.problem, used.copy()
+    for _ in range(3):  # each strength may be stopped by the step as well
+        step = information.within(used).solve(np.where(used, slope, 0.0))
+        stopped = [place[(problem.strengths(at.theta) <= MIN_STRENGTH) & (step[place] < 0.0)]
+                   for place in problem.places.get('relaxation', ())]
+        if not np.size(stopped):
+            break
+        used[np.ravel(stopped)] = False
+    return step
+
+
+def _squared_length(at: Solution, step: Array, H: Arrow) -> float:
+    """
+    Return the squared length of a step in standard errors.
+
+    Unidentifiable unknowns may drift, and do not affect convergence.
+    """
+    identifiable = np.sqrt(H.variances) < at.problem.max_std
+    part = np.where(identifiable | ~identifiable.any(), step, 0.0)
+    slope = H.times(part)
+    return float(part @ slope) - H.fall(slope, ~identifiable & identifiable.any())
+
+
+def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
+    """Return unknowns with the whitened segments about courses, and information and slope."""
+    (H, g), pool, s = problem.prior(theta), problem.held.pool, problem.shared
+    indices = list(map(problem.index, range(len(problem.outlines))))
+    parts, found = pool.hold(
+        _whitened, problem.local, pool.each([theta[index] for index in indices]), problem.held,
+        courses)
+    rows = [(number, information, slope) for number, (_, information, slope) in enumerate(found)]
+    if problem.standstills:
+        J, r, _ = residuals.at_rest(problem.local, theta[indices[0]])
+        rows.append((0, J.T @ J, J.T @ r))
+    for number, information, slope in rows:
+        H.shared[:] += information[:s, :s]
+        H.coupling[number] += information[s:, :s]
+        H.own[number] += information[s:, s:]
+        g[indices[number]] += slope
+    return Solution(problem, theta, courses, parts, [sums for sums, *_ in found], H, g)
+
+
+def _whitened(
+    problem: Problem, theta: Array, segments: Segments, courses: Sequence[Course]
+) -> tuple[Parts, tuple[Sums, Array, Array]]:
+    """Return whitened segments, their sums, information (q, q) and slope (q,)."""
+    parts = tuple(residuals.evaluated(problem, theta, segment, course)
+                  for segment, course in zip(segments, courses, strict=True))
+    return parts, (Sums.of(parts), *(sum(np.sum(getattr(part, name), axis=0) for part in parts)
+                                     for name in ('information', 'slope')))
+
+
+def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]) -> Array:
+    """
+    Return the change by a step, mixed with previous steps and their resulting changes.
+
+    Anderson's method (1965) is used, because with inaccurate K and P the derivatives have noise
+    and change between steps, so that plain steps are too short or too long.
+    """
+    if not history:
+        return step
+    steps, changes = map(np.array, zip(*history, strict=True))
+    differences = np.diff(np.vstack([steps, step]), axis=0)
+    squares = differences @ np.transpose(list(map(H.times, differences)))
+    weights = np.linalg.pinv(squares, 0.1**2, hermitian=True) @ (differences @ H.times(step))
+    weights *= min(1.0, MAX_ANDERSON_WEIGHT / max(np.abs(weights).max(), 1e-99))
+    return np.asarray(step - weights @ (changes + differences))

@@ -1,0 +1,460 @@
+"""
+Whitened differences between measured and simulated poses of the package.
+
+The package is simulated along the path of the tool, from rest or a first state near it, which is
+free within wide limits and eliminated. Derivatives are differences of simulations. Differences of
+a tracked body are whitened in the frequency domain, see `noise`; those of a tag are its corners'
+coordinates, with independent errors.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
+from bellows_ros.core.identification import noise, quantities
+from bellows_ros.core.identification.pool import in_threads
+from bellows_ros.core.identification.result import CHANCE
+from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, ROW_NS, Segment
+from bellows_ros.core.identification.unknowns import Problem
+from bellows_ros.core.model import equilibrium, simulation
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.recording.standstills import Standstill
+from bellows_ros.core.sensors import body
+from bellows_ros.core.sensors.corners import Seen
+from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
+from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
+from bellows_ros.errors import BellowsError, UnstableError
+import numpy as np
+
+START_STD = np.repeat([0.05, 0.3, 0.5, 3.0], 3)
+"""Standard deviation of the package's first state about rest on the tool: wider than any swing,
+m, rad, m/s and rad/s."""
+
+DIFFERENCE = 1e-5
+"""Steps of unknowns for derivatives, in logarithms and standard deviations of the first state."""
+
+QUANTITY_DIFFERENCE = 1e-3
+"""Steps of other unknowns for derivatives, in their units."""
+
+MAX_INTEGRATION_STEP = 0.005
+"""Longest step of the integrator, s: two steps between rows."""
+
+MIN_INTEGRATION_STEP = 2e-5
+"""
+Shortest step of the integrator, s.
+
+A cup with modes faster than 20,000/s, which needs shorter steps, is rejected by the search.
+"""
+
+MAX_QUICKENING = 30.0
+"""Largest ratio of the speed of modes to the start, with 100 times the stiffness and 10 times the
+ordinary damping."""
+
+COARSE_FACTOR = 4.0
+"""
+Ratio of the integrator's steps in a fit to the steps in a prediction.
+
+K and P of `bags/identification` change by less than 1e-4, 0.01 standard errors.
+"""
+
+HUBER_STD = 3.0
+"""Size beyond which differences count linearly instead of quadratically (Huber), standard
+deviations."""
+
+BLOCK_DURATION = 1.0
+"""Length of the parts of a recording whose information is stored, s: some periods of a swing."""
+
+WHITE_SIGMAS = 4.0
+"""Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""
+
+MAX_WHITE_CORRELATION = 0.1
+"""Largest correlation of innovations that count as white."""
+
+
+class Part(NamedTuple):
+    """
+    The whitened differences of a segment.
+
+    Innovations (N, 6), weighted by Huber; differences (N, 6) in m and rad; sum of the logarithms
+    of their variances; the likeliest noise of the tool and change of the first state; the noise
+    (6,) of poses by the differences; information (c, q, q) and slope (c, q) of each second; and
+    the smear (N,) of views, rad.
+    """
+
+    innovations: Array
+    residuals: Array
+    logs: float
+    course: Course
+    std: Array
+    information: Array
+    slope: Array
+    smear: Array
+
+    @property
+    def is_white(self) -> bool:
+        """Whether successive innovations are uncorrelated."""
+        e = np.clip(self.innovations, -CHANCE, CHANCE)
+        correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
+                       for lag in (1, 2, 3) if lag < len(e)]
+        limit = max(MAX_WHITE_CORRELATION, WHITE_SIGMAS / np.sqrt(len(e)))
+        return bool(np.max(np.abs(correlation), initial=0.0) < limit)
+
+
+class Differences(NamedTuple):
+    """
+    Differences at their bins.
+
+    Differences (N, 6) of measured and simulated poses or views, derivatives (N, 6, q + 12) of the
+    simulated ones by the unknowns and the first state, and the mask (N,) of bins with a pose.
+    """
+
+    values: Array
+    columns: Array
+    used: Mask
+
+
+class Simulation(NamedTuple):
+    """
+    Simulations of the package of a segment.
+
+    States (M, 13) at the rows, and derivatives (M, 6, q + 12) of the poses in body axes by the
+    unknowns and the first state.
+    """
+
+    rows: Array
+    columns: Array
+
+
+def model_step(problem: Problem, theta: Array, segment: Segment) -> float:
+    """Return the longest step (s) of the integrator, or raise for too fast a cup."""
+    longest, first = (COARSE_FACTOR * equilibrium.largest_step(problem.model(each, segment))
+                      for each in (theta, problem.start))
+    shortest = max(MIN_INTEGRATION_STEP, first / MAX_QUICKENING)
+    if longest < shortest:
+        raise BellowsError(
+            f'With this cup the simulation needs integration steps of {longest:.2g} s; at '
+            f'least {shortest:.2g} s is expected. Check the units of package.mass, '
+            'package.inertia, cup.stiffness and cup.damping.')
+    return min(longest, MAX_INTEGRATION_STEP)
+
+
+def _first_state(model: ModelTuple, tool: Array, change: Array) -> State:
+    """Return the package at rest on the tool (13,), carried by its twist, after a change (12,)."""
+    try:
+        rest = simulation.rest(model, tool)
+    except UnstableError:
+        rest = equilibrium.resting_on_tool(model, simulation.row_state(tool))
+    T_tool, T_body = (lie.transform(lie.quaternion_to_rotation(np.array(q)), np.array(o))
+                      for o, q in ((tool[:3], tool[3:7]), rest[:2]))
+    twist = lie.adjoint(lie.inverse_transform(T_body) @ T_tool) @ tool[7:]
+    moved = equilibrium.moved_by(rest, change + np.append(np.zeros(6), twist))
+    plain: State = moved[0], moved[1], moved[2], moved[3]
+    return equilibrium.adapted(model, simulation.row_state(tool), plain)
+
+
+def _spans(problem: Problem, segment: Segment) -> list[tuple[slice, float]]:
+    """Return parts of the rows with one model each, and what `Problem.model` needs for them."""
+    count, rows_ns = len(segment.rows), segment.rows_ns
+    first, last = segment.span_ns
+    if 'length_drift' in problem.rows:
+        length = round(BLOCK_DURATION * NS_PER_S / ROW_NS)
+        return [(slice(i, min(i + length, count - 1) + 1), float(
+            (rows_ns[i] - first) / (last - first) - 0.5)) for i in range(0, count - 1, length)]
+    if 'slip' in problem.rows and problem.slip_ns >= first:
+        at = int(np.clip(np.searchsorted(rows_ns, problem.slip_ns), 0, count - 1))
+        return [(span, part) for span, part in (
+            (slice(0, at + 1), -1.0), (slice(at, count), 0.0)) if span.stop - span.start > 1]
+    return [(slice(0, count), 0.0 if 'slip' not in problem.rows else -1.0)]
+
+
+def simulated(
+    problem: Problem, theta: Array, segment: Segment, course: Course, start: Array, steps: int
+) -> Array:
+    """Return the package's states (M, 13) at the rows; theta is local."""
+    tool, out, state = course.rows, np.empty((len(course.rows), 13)), None
+    if 'tool_marker' in problem.rows:
+        marker = problem.values(theta)['tool_marker']
+        tool = simulation.tool_rows(body.of_fixed_frame(
+            simulation.trajectory_of(segment.rows_ns, tool), marker[3:], marker[:3]))
+    for span, part in _spans(problem, segment):
+        model, rows = problem.model(theta, segment, part), tool[span]
+        if state is None:
+            state = _first_state(model, rows[0], start)
+        count = len(rows) - 1
+        found = simulation.simulate_rows(
+            model, state, rows, np.full(count, ROW_NS / NS_PER_S),
+            np.full(count, steps, dtype=np.int64))
+        out[span] = found[:, :13]
+        state = simulation.body_row(found[-1].tolist(), state)
+    if not np.all(np.isfinite(out)):
+        raise UnstableError(
+            'The simulation diverges with this cup. Check package.mass, package.com, the frames, '
+            'cup.stiffness and cup.damping.')
+    return out
+
+
+def simulation_of(
+    problem: Problem, theta: Array, segment: Segment, course: Course
+) -> Simulation:
+    """Return the simulation with its derivatives."""
+    steps = int(equilibrium.substeps_for(
+        ROW_NS / NS_PER_S, model_step(problem, theta, segment)))
+    moving = [j for name, row in problem.rows.items() if name not in SENSED for j in row]
+    if 'com' in problem.rows:
+        moving = sorted({*moving, *problem.rows['com']})
+    size = len(theta)
+    changes = np.zeros((problem.count + len(moving) + 12, size + 12))
+    places = [*range(problem.count), *moving, *range(size, size + 12)]
+    lengths = np.concatenate([
+        np.full(problem.count, DIFFERENCE), np.full(len(moving), QUANTITY_DIFFERENCE),
+        DIFFERENCE * START_STD])
+    changes[np.arange(len(places)), places] = lengths
+
+    def run(change: Array) -> Array:
+        return simulated(problem, theta + change[:size], segment, course,
+                         course.start + change[size:], steps)
+
+    base, *others = in_threads(run, [np.zeros(size + 12), *changes])
+    columns = np.zeros((len(base), 6, size + 12))
+    inverse = np.swapaxes(lie.quaternion_to_rotation(base[:, 3:7]), 1, 2)
+    conjugate = lie.quaternion_conjugate(base[:, 3:7])
+    for place, length, other in zip(places, lengths, others, strict=True):
+        columns[:, :3, place] = lie.apply(inverse, other[:, :3] - base[:, :3]) / length
+        turn = lie.quaternion_product(conjugate, other[:, 3:7])
+        columns[:, 3:, place] = 2.0 * turn[:, :3] * np.sign(turn[:, 3:]) / length
+    return Simulation(base, columns)
+
+
+SENSED = frozenset({
+    'com', 'time_offset', 'clock_rate', 'package_world', 'package_marker', 'scale', 'exposure'})
+"""Quantities of the measured poses, which the simulation is without."""
+
+
+def taps(rows_ns: Stamps, stamps: Stamps) -> tuple[Places, Array]:
+    """Return indices (N, 4) of uniform rows and their weights in cubic curves at stamps (N,)."""
+    step = int(rows_ns[1] - rows_ns[0]) if len(rows_ns) > 1 else 1
+    at = (stamps - rows_ns[0]) / step
+    first = np.clip(np.floor(at).astype(np.int64) - 1, 0, max(len(rows_ns) - 4, 0))
+    x = (at - first)[:, None]
+    a, b, c, d = (x - k for k in range(4))
+    weights = np.hstack([-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0])
+    return np.minimum(first[:, None] + np.arange(4), len(rows_ns) - 1), weights
+
+
+def at_stamps(rows_ns: Stamps, values: Array, stamps: Stamps) -> Array:
+    """Return values (M, ...) of uniform rows at stamps (N,)."""
+    places, weights = taps(rows_ns, stamps)
+    out = np.zeros((len(stamps), *values.shape[1:]))
+    for k in range(4):
+        out += weights[:, k].reshape(-1, *[1] * (values.ndim - 1)) * values[places[:, k]]
+    return out
+
+
+def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) -> Part:
+    """Return a segment's whitened differences, linearised about a course; theta is local."""
+    moved = simulation_of(problem, theta, segment, course)
+    free = problem.values(theta)
+    delay, rate = (float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate'))
+    since = segment.package.stamps_ns - round(segment.middle[3] * NS_PER_S)
+    stamps = segment.package.stamps_ns + np.rint(
+        delay * NS_PER_S + rate * since).astype(np.int64)
+    used = (stamps >= segment.rows_ns[0]) & (stamps <= segment.rows_ns[-1])
+    used &= (segment.place >= 0) & (segment.place < segment.bins)
+    if not used.any():
+        raise BellowsError('No package pose lies within the motion of the tool.')
+    if segment.views is not None and not problem.is_rough:
+        return _part_of_views(problem, theta, segment, course, moved, stamps, used)
+    return _part_of_poses(problem, theta, segment, course, moved, stamps, used)
+
+
+def _package_at(segment: Segment, rows: Array, stamps: Stamps) -> Trajectory:
+    """Return the simulated package at stamps."""
+    return resample(simulation.trajectory_of(segment.rows_ns, rows), stamps)
+
+
+def _part_of_poses(
+    problem: Problem, theta: Array, segment: Segment, course: Course, moved: Simulation,
+    stamps: Stamps, used: Mask,
+) -> Part:
+    """Return the whitened differences of a tracked body."""
+    free, size, bins = problem.values(theta), len(theta), segment.bins
+    order = np.argsort(stamps[used], kind='stable')
+    chosen = np.flatnonzero(used)[order]
+    stamps, place, poses = stamps[chosen], segment.place[chosen], segment.package.select(chosen)
+    there = body.poses_of(poses, free, *segment.context)
+    package = _package_at(segment, moved.rows, stamps)
+    assert package.twist is not None
+    inverse = np.swapaxes(package.rotation, 1, 2)
+    e = np.hstack([lie.apply(inverse, there.position - package.position),
+                   lie.log_so3(inverse @ there.rotation)])
+    columns = body.columns_of(there, free, problem.rows, size, segment.context, package)
+    for name in problem.rows.keys() & set(body.CLOCKS):
+        columns[:, :, problem.rows[name]] *= package.twist[:, :, None]
+    counts = np.bincount(place, minlength=bins).astype(float)
+    seen = counts > 0
+    mean_ns = np.full(bins, 0, dtype=np.int64)
+    mean_ns[seen] = stamps[0] + np.rint(
+        _sums(place, stamps - stamps[0], bins)[seen] / counts[seen]).astype(np.int64)
+    values, own = np.zeros((bins, 6)), np.zeros((bins, 6, size))
+    values[seen] = _sums(place, e, bins)[seen] / counts[seen, None]
+    own[seen] = _sums(place, columns * problem.units, bins)[seen] / counts[seen, None, None]
+    J = np.zeros((bins, 6, size + 12))
+    J[seen] = at_stamps(segment.rows_ns, moved.columns, mean_ns[seen])
+    J[:, :, :size] += own
+    for array in (values, J):
+        _fill(array, seen)
+    return _whitened(problem, theta, segment, course, Differences(values, J, seen))
+
+
+def _sums(place: Places, values: Array, count: int) -> Array:
+    """Return sums (count, ...) of values (N, ...) at ascending places (N,)."""
+    out = np.zeros((count, *values.shape[1:]))
+    first = np.flatnonzero(np.diff(place, prepend=-1))
+    out[place[first]] = np.add.reduceat(values, first, axis=0)
+    return out
+
+
+def _fill(values: Array, seen: Mask) -> None:
+    """Interpolate values (N, ...) linearly where nothing is seen."""
+    lost, known = np.flatnonzero(~seen), np.flatnonzero(seen)
+    if not len(lost):
+        return
+    after = np.clip(np.searchsorted(known, lost), 1, max(len(known) - 1, 1))
+    after = np.minimum(after, len(known) - 1)
+    a, b = known[np.maximum(after - 1, 0)], known[after]
+    part = np.clip((lost - a) / np.maximum(b - a, 1), 0.0, 1.0).reshape(
+        -1, *[1] * (values.ndim - 1))
+    values[lost] = (1.0 - part) * values[a] + part * values[b]
+
+
+def _whitened(
+    problem: Problem, theta: Array, segment: Segment, course: Course, found: Differences
+) -> Part:
+    """Return differences whitened in the frequency domain."""
+    measured, period = segment.measured, segment.bin_ns / NS_PER_S
+    model = problem.model(theta, segment)
+    frequency = noise.frequencies(segment.bins, period)
+    tool = simulation.row_state(course.rows[0])
+    plain: ModelTuple = (model[0][:4], *model[1:])
+    rest = _first_state(plain, np.append(course.rows[0, :7], np.zeros(6)), np.zeros(12))
+    still: State = tool[0], tool[1], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    response = noise.Response.of(
+        plain, still, rest, segment.weights, segment.tool_period, frequency)
+    of_poses = noise.spectrum(
+        measured.package_noise._replace(std=course.std), segment.period, frequency)
+    whitening = noise.Whitening.of(
+        of_poses, noise.spectrum(measured.tool_noise, segment.tool_period, frequency),
+        1.0 / period, response)
+    values = found.values - noise.filtered(response.package, course.noise[..., None])[..., 0]
+    white = whitening.whitened(np.concatenate([values[..., None], found.columns], axis=2))
+    innovations, J, slope, start, weight = _weighted(
+        white[found.used][..., 0], white[found.used][..., 1:], course.start)
+    explaining = np.zeros((segment.bins, 6))
+    explaining[found.used] = weight * slope
+    likeliest = whitening.likeliest(explaining)
+    bins_ns = segment.bins_ns + segment.bin_ns * np.arange(segment.bins)
+    on_rows = [at_stamps(bins_ns, noise.filtered(
+        -path[:, None, None] * np.eye(6), likeliest[..., None])[..., 0], segment.rows_ns)
+        for path in response.path]
+    of_tool = np.sqrt(np.mean(
+        np.einsum('fii->fi', whitening.total).real - of_poses / period, axis=0))
+    total = (MAD_TO_STD * np.median(np.abs(found.values[found.used]), axis=0)) ** 2
+    std = np.sqrt(np.maximum(total - of_tool**2, 0.1 * total))
+    return Part(
+        innovations, found.values[found.used],
+        whitening.logs * np.count_nonzero(found.used) / noise.padded(segment.bins, period),
+        course._replace(rows=segment.moved(np.hstack(on_rows)), noise=likeliest, start=start),
+        np.maximum(std, MIN_POSE_STD), *_blocks(J, slope, period), np.empty(0))
+
+
+def _part_of_views(
+    problem: Problem, theta: Array, segment: Segment, course: Course, moved: Simulation,
+    stamps: Stamps, used: Mask,
+) -> Part:
+    """Return the whitened differences of a tag."""
+    assert segment.views is not None
+    package = _package_at(segment, moved.rows, stamps[used])
+    rates = np.gradient(moved.rows[:, 7:], ROW_NS / NS_PER_S, axis=0)
+    rates[:, :3] += np.cross(moved.rows[:, 10:], moved.rows[:, 7:10])
+    motion = np.hstack([simulation.tool_rows(package), at_stamps(
+        segment.rows_ns, rates, stamps[used])])
+    seen: Seen = segment.views.select(used).seen(
+        motion, course.corners, problem.values(theta), problem.rows, problem.units,
+        segment.context)
+    J = seen.views.maps @ at_stamps(segment.rows_ns, moved.columns, stamps[used])
+    J[:, :, :len(theta)] += seen.views.columns
+    scale = 1.0 / np.sqrt(seen.variance)
+    innovations, J, slope, start, _ = _weighted(
+        seen.views.residuals * scale[:, None], J * scale[:, None, None], course.start)
+    return Part(
+        innovations, seen.scale * seen.views.residuals, 6.0 * float(np.sum(np.log(seen.variance))),
+        course._replace(start=start), course.std, *_blocks(J, slope, segment.period), seen.smear)
+
+
+def _weighted(
+    white: Array, J: Array, start: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """
+    Return innovations (N, 6) weighted by Huber, without the effect of the first state.
+
+    Further results are the derivatives (N, 6, q), the innovations (N, 6) that they explain, the
+    likeliest change of the first state, and the weights (N, 6).
+    """
+    with np.errstate(divide='ignore', invalid='ignore'):
+        weight = np.sqrt(np.minimum(1.0, HUBER_STD / np.abs(white)))
+    white, J = white * weight, J * weight[..., None]
+    size = J.shape[2] - 12
+    first, rest = J[..., size:].reshape(-1, 12), J[..., :size].reshape(-1, size)
+    prior = START_STD**-2
+    inverse = np.linalg.inv(first.T @ first + np.diag(prior))
+    change = inverse @ (first.T @ white.ravel() - prior * start)
+    carried = inverse @ (first.T @ rest)
+    return (white, (rest - first @ carried).reshape(*white.shape, size),
+            white - (first @ change).reshape(white.shape), start + change, weight)
+
+
+def _blocks(J: Array, r: Array, period: float) -> tuple[Array, Array]:
+    """Return information (c, q, q) and slope (c, q) of each second of a segment."""
+    length = max(round(BLOCK_DURATION / period), 1)
+    blocks = [(J[first:first + length].reshape(-1, J.shape[-1]), r[first:first + length].ravel())
+              for first in range(0, len(J), length)]
+    return np.array([J.T @ J for J, _ in blocks]), np.array([J.T @ r for J, r in blocks])
+
+
+def at_rest(problem: Problem, theta: Array) -> tuple[Array, Array, float]:
+    """
+    Return derivatives (n, q) and residuals (n,) of the standstills, in standard errors.
+
+    A chi^2 above its expectation reduces the weight of the standstills; it is the third result.
+    Unknowns are of the first recording.
+    """
+    middle = np.append(np.mean([
+        still.package.position[0] for still in problem.standstills], axis=0), 0.0)
+
+    def balances(theta: Array) -> Array:
+        return np.concatenate([_off_balance(problem, theta, still, middle) / np.maximum(
+            np.repeat(still.error, 3), MIN_POSE_STD) for still in problem.standstills])
+
+    here, steps = balances(theta), np.full(len(theta), QUANTITY_DIFFERENCE)
+    steps[:problem.count] = DIFFERENCE
+    J = np.column_stack([
+        (here - balances(theta + step)) / length
+        for length, step in zip(steps, np.diag(steps), strict=True)])
+    chi2 = float(np.mean(here**2))
+    weight = max(chi2, 1.0) ** -0.5
+    return weight * J, weight * here, chi2
+
+
+def _off_balance(problem: Problem, theta: Array, still: Standstill, middle: Array) -> Array:
+    """Return the deviation (6,) of a standstill from the equilibrium of the model, m and rad."""
+    free = problem.values(theta)
+    cup = replace(problem.gripper(theta, free), relaxation=(0.0, 0.0))
+    model = model_tuple(cup, quantities.payload_of(still.payload, free),
+                        quantities.gravity_of(still.gravity, free))
+    tool, measured = (simulation.row_state(np.append(pose_rows(poses)[0], np.zeros(6)))
+                      for poses in (still.tool, body.poses_of(
+                          still.package, free, np.array(still.moves_with_com, float), middle)))
+    rest = equilibrium.static_equilibrium(model, tool, measured)
+    return np.concatenate(equilibrium.pose_error(rest, *measured[:2]))

@@ -1,0 +1,421 @@
+"""
+The unknowns of a fit by simulation, and their effect on cup, package and poses.
+
+All uncertain quantities are free jointly with K and P, with their priors as additional
+measurements. K and P are exponentials of matrices, K = T exp(M) T, which are definite for any
+numbers: the numbers of M are logarithms of entries on the diagonal, and correlations. Wide priors
+on the order of magnitude of K and P are negligible for numbers that the recordings determine.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby
+import math
+from typing import Any
+
+from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Places
+from bellows_ros.core.identification import quantities
+from bellows_ros.core.identification.information import Arrow, symmetric_roots
+from bellows_ros.core.identification.pool import Held, here
+from bellows_ros.core.identification.quantities import Free, KINDS
+from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
+from bellows_ros.core.identification.segments import (
+    MeasuredSegment,
+    Outline,
+    outline_of,
+    Segment,
+    Segments,
+    segments_of,
+)
+from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.recording.standstills import Standstill
+import numpy as np
+from numpy.typing import ArrayLike
+
+MIN_STRENGTH = 1e-6
+"""Smallest strength of relaxation in a search, as a branch of none has no strain."""
+
+TYPICAL_STRENGTH = 0.05
+"""Strength of relaxation of soft rubber."""
+
+DEFAULT_RATIO = 1.05
+"""Ratio r2 / r1 of rubber with a constant loss factor."""
+
+RATIO_STD = 0.4
+"""Standard deviation of the ratio r2 / r1 among rubbers."""
+
+WIDE_LOG_STD = 2.0
+"""Standard deviation of the logarithms of K about the start, of
+which only the order of magnitude is known."""
+
+DAMPING_LOG_STD = 1.0
+"""Standard deviation of the logarithm of P about ordinary rubber."""
+
+LOSS_FACTOR = 0.25
+"""Loss factor of ordinary rubber, the prior of the damping; an undamped cup would fit noise."""
+
+MAX_LOG_STEP = 1.0
+"""Largest change of the logarithm of K or P in a step."""
+
+MIN_DAMPING = 1e-3
+"""Smallest damping of the first cup, relative to ordinary damping: zero has no logarithm."""
+
+
+def logarithm(M: Array, scale: Array) -> Array:
+    """Return log M (6, 6) of a definite matrix in units of a diagonal scale (6,)."""
+    values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
+    return np.asarray((vectors * np.log(values)) @ vectors.T)
+
+
+def exponential(M: Array, scale: Array) -> Array:
+    """Return exp M (6, 6), definite, in units of a diagonal scale (6,)."""
+    values, vectors = np.linalg.eigh(M)
+    half = scale[:, None] * vectors * np.exp(0.5 * values)
+    return np.asarray(half @ half.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    Recordings of one cup, and the unknowns of their fit.
+
+    The m unknowns theta are logarithms of K and P by the structure, then the free quantities of
+    `KINDS` in their units: first the s that all recordings share, including those of the cup, then
+    the own ones of each recording.
+
+    Parameters
+    ----------
+    segments : Held or None
+        Segments of each recording; None for one recording whose segments are given to a function.
+    outlines : tuple of Outline
+        Facts on each recording.
+    structure : Structure
+        Structure of K and P.
+    guess : Cup
+        Initial guess, with the length.
+    free : mapping
+        Standard deviations, SI units, of other free quantities, by names of `KINDS`.
+    slip_ns : int
+        Stamp of a slip of the package, if free.
+    common : tuple of str
+        Names of quantities that all recordings share instead of having their own.
+    is_rough : bool
+        Whether tags count as poses, and exposures as given, for a remote start.
+    standstills : tuple of Standstill
+        Standstills of the same cup, with the marker and the world of the first recording.
+
+    """
+
+    segments: Held | None
+    outlines: tuple[Outline, ...]
+    structure: Structure
+    guess: Cup
+    free: Free
+    slip_ns: int = 0
+    common: tuple[str, ...] = ()
+    is_rough: bool = False
+    standstills: tuple[Standstill, ...] = ()
+
+    @classmethod
+    def of(
+        cls, segments: Held | Sequence[Segment], structure: Structure, guess: Cup, free: Free,
+        **more: Any,
+    ) -> 'Problem':
+        """Return the problem of held recordings, or of segments that are in this process."""
+        if not isinstance(segments, Held):
+            segments = here([tuple(own) for _, own in groupby(
+                segments, lambda segment: segment.measured.recording)])
+        return cls(segments, tuple(segments.pool.results(outline_of, segments)), structure, guess,
+                   free, **more)
+
+    @property
+    def held(self) -> Held:
+        """The segments of each recording."""
+        assert self.segments is not None
+        return self.segments
+
+    def changed(self, change: Callable[[MeasuredSegment], MeasuredSegment]) -> 'Problem':
+        """Return the problem with other recordings, each segment changed."""
+        return self.with_segments(*self.held.pool.hold(_changed, change, self.held))
+
+    def with_segments(self, segments: Held, outlines: Sequence[Outline]) -> 'Problem':
+        """Return the problem with other recordings."""
+        return replace(self, segments=segments, outlines=tuple(outlines))
+
+    @cached_property
+    def local(self) -> 'Problem':
+        """The problem of each recording alone: its unknowns are the shared ones, then its own."""
+        return replace(self, segments=None, outlines=self.outlines[:1])
+
+    def index(self, number: int) -> Places:
+        """Return the places (q,) of a recording's unknowns among all."""
+        return np.concatenate([np.arange(self.shared), self.own[number]])
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether the noise of some poses is estimated together with K and P."""
+        return any(outline.is_slow for outline in self.outlines)
+
+    def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
+        """Return the problem from the cup of unknowns, with more free quantities."""
+        return replace(self, structure=structure or self.structure, guess=self.cup(theta),
+                       free={**self.free, **more})
+
+    def from_cup(self, cup: Cup) -> 'Problem':
+        """Return the problem with another initial guess."""
+        return replace(self, guess=cup)
+
+    def is_own(self, name: str) -> bool:
+        """Return whether each recording has its own value of a quantity."""
+        return KINDS[name].each and name not in self.common
+
+    @cached_property
+    def first_cup(self) -> Cup:
+        """Initial cup with definite matrices, and with internal strains if relaxation is free."""
+        cup, ordinary = self.guess, np.diag(self.ordinary_damping(self.guess.stiffness))
+        if 'relaxation' in self.free:
+            cup = replace(cup, relaxation=_not_below(cup.relaxation))
+        least = np.diag(MIN_DAMPING * ordinary)
+        if min(np.linalg.eigvalsh(M)[0] for M in (cup.stiffness, cup.damping - least)) <= 0.0:
+            cup = replace(cup, stiffness=np.diag(np.diag(cup.stiffness)), damping=np.diag(
+                np.maximum(np.diag(cup.damping), MIN_DAMPING * ordinary)))
+        return cup
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns of the cup."""
+        return 2 * self.structure.size
+
+    @cached_property
+    def places(self) -> Mapping[str, Places]:
+        """Indices of free quantities among the unknowns: a row per recording, or one for all."""
+        shapes = {name: (len(self.outlines) if self.is_own(name) else 1, KINDS[name].size)
+                  for name in sorted(self.free, key=self.is_own)}
+        ends = np.cumsum([self.count, *map(math.prod, shapes.values())])
+        return {name: first + np.arange(math.prod(shape)).reshape(shape)
+                for first, (name, shape) in zip(ends, shapes.items(), strict=False)}
+
+    @cached_property
+    def rows(self) -> Mapping[str, Places]:
+        """Indices of free quantities among the unknowns of the first recording."""
+        return {name: row for name, (row, *_) in self.places.items()}
+
+    @cached_property
+    def own(self) -> Places:
+        """Indices (R, o) of the own unknowns of each recording."""
+        return np.hstack([np.empty((len(self.outlines), 0), dtype=np.int64), *(
+            place for name, place in self.places.items() if self.is_own(name))])
+
+    @property
+    def shared(self) -> int:
+        """Number s of shared unknowns."""
+        return len(self.units) - self.own.size
+
+    def _of_all(self, of_cup: Array, of_free: Callable[[str], ArrayLike]) -> Array:
+        """Return numbers (m,) from the numbers of the cup, and a function by free quantity."""
+        numbers = np.pad(of_cup, (0, sum(place.size for place in self.places.values())))
+        for name, place in self.places.items():
+            numbers[place] = of_free(name)
+        return numbers
+
+    @cached_property
+    def units(self) -> Array:
+        """Units (m,) of the unknowns."""
+        return self._of_all(np.ones(self.count), lambda name: KINDS[name].unit)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Information (m,) of the priors of free quantities."""
+        return self._of_all(np.zeros(self.count), lambda name: (
+            np.asarray(self.free[name]) / KINDS[name].unit) ** -2)
+
+    @cached_property
+    def max_std(self) -> Array:
+        """Largest standard errors (m,) of identifiable unknowns."""
+        return self._of_all(np.full(self.count, MAX_RELATIVE_ERROR), lambda name: (
+            KINDS[name].max_std / KINDS[name].unit))
+
+    @cached_property
+    def scales(self) -> tuple[Array, Array]:
+        """Units of K and P in their logarithms: roots (6,) of the initial diagonals."""
+        cup = self.first_cup
+        return np.sqrt(np.diag(cup.stiffness)), np.sqrt(np.diag(cup.damping))
+
+    @cached_property
+    def start(self) -> Array:
+        """Unknowns (m,) of the initial guess."""
+        cup, (k, p) = self.first_cup, self.scales
+        return self._of_all(self.structure.parameters(
+            logarithm(cup.stiffness, k), logarithm(cup.damping, p)), lambda name: 0.0)
+
+    def _matrices(self, theta: Array) -> tuple[Array, Array]:
+        """Return K and P of unknowns, SI units."""
+        K, P = (exponential(M, scale) for M, scale in zip(
+            self.structure.matrices(theta[:self.count]), self.scales, strict=True))
+        return K, P
+
+    def cup(self, theta: Array) -> Cup:
+        """Return the cup of the unknowns, a single one of a gripper."""
+        K, P = self._matrices(theta)
+        return replace(self.first_cup, stiffness=K, damping=P)
+
+    def reported(self, theta: Array) -> Array:
+        """Return parameters of K and P and quantities (m,) of the unknowns, SI units."""
+        x = self.units * theta
+        x[:self.count] = self.structure.parameters(*self._matrices(theta))
+        return x
+
+    def slopes(self, theta: Array) -> Array:
+        """Return the derivatives (s, s) of the reported shared numbers by the unknowns."""
+        slopes, step = np.diag(self.units[:self.shared]), 1e-5
+        for j in range(self.count):
+            ends = (self.reported(theta + side * step * np.eye(1, len(theta), j)[0])
+                    for side in (1.0, -1.0))
+            slopes[:, j] = np.subtract(*ends)[:self.shared] / (2.0 * step)
+        return slopes
+
+    def strengths(self, theta: Array) -> Array:
+        """Return the strengths of relaxation (2,) of the unknowns."""
+        r = np.array(self.first_cup.relaxation)
+        for place in self.places.get('relaxation', ()):
+            r += (self.units * theta)[place]
+        return r
+
+    def stretch(self, theta: Array) -> tuple[float, float]:
+        """Return the coefficients of stretch of the unknowns, N/m^2 and N."""
+        change = np.sum([(self.units * theta)[place] for place in self.places.get('stretch', ())],
+                        axis=0)
+        a, b = (self.first_cup.stretch + change * quantities.STRETCH_UNITS).tolist()
+        return a, b
+
+    def transferred(self, other: 'Problem', theta: Array) -> Array:
+        """Return the unknowns equal to the unknowns of another problem with the same cup."""
+        moved = self.start.copy()
+        for name in self.places.keys() & other.places:
+            moved[self.places[name]] = theta[other.places[name]]
+        return moved
+
+    def values(self, theta: Array) -> Free:
+        """Return the free quantities of a recording, SI units; theta is local."""
+        values = self.reported(theta)
+        return {name: values[row] for name, row in self.rows.items()}
+
+    def model(self, theta: Array, segment: Segment, part: float = 0.0) -> ModelTuple:
+        """
+        Return the model of a segment; theta is local.
+
+        The part is that of the recording so far, less one half; before a slip it is -1.
+        """
+        free, measured = dict(self.values(theta)), segment.measured
+        if 'slip' in free and part > -1.0:
+            free['com'] = free.get('com', np.zeros(3)) + np.append(free['slip'], 0.0)
+        if 'length_drift' in free:
+            free['length'] = free.get('length', np.zeros(1)) + part * free['length_drift']
+        return model_tuple(
+            self.gripper(theta, free), _scaled(measured.payload, free),
+            quantities.gravity_of(measured.gravity, free))
+
+    def gripper(self, theta: Array, free: Free) -> Cup:
+        """Return the cup or cups with their free quantities."""
+        cup = gripper_of(self.cup(theta), self.structure.places)
+        if 'length' in free:
+            cup = replace(cup, length=cup.length + float(free['length'][0]))
+        if 'relaxation' in free:
+            cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
+        if 'stretch' in free:
+            cup = replace(cup, stretch=self.stretch(theta))
+        return cup
+
+    def moved(self, theta: Array, step: Array) -> Array:
+        """Return unknowns after a step that is limited for logarithms."""
+        moved = theta + step
+        moved[:self.count] = theta[:self.count] + np.clip(
+            step[:self.count], -MAX_LOG_STEP, MAX_LOG_STEP)
+        for place in self.places.get('relaxation', ()):
+            moved[place] = np.maximum(
+                moved[place], -np.array(self.first_cup.relaxation) / self.units[place])
+        return moved
+
+    def ordinary_damping(self, stiffness: Array) -> Array:
+        """Return the damping (6, 6) with one loss factor for each mode of the package."""
+        payload = self.outlines[0].payload
+        to_com, inertia = np.eye(6), np.zeros((6, 6))
+        to_com[:3, 3:] = -lie.hat(payload.com)
+        inertia[:3, :3], inertia[3:, 3:] = payload.mass * np.eye(3), payload.inertia
+        root, inverse = symmetric_roots(to_com.T @ inertia @ to_com)
+        P = LOSS_FACTOR * root @ symmetric_roots(inverse @ stiffness @ inverse)[0] @ root
+        return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
+
+    def largest_damping(self, theta: Array) -> float:
+        """Return the largest ratio of a cup's damping to ordinary damping over all directions."""
+        K, P = self._matrices(theta)
+        inverse = symmetric_roots(self.ordinary_damping(K))[1]
+        return float(np.linalg.eigvalsh(inverse @ P @ inverse)[-1])
+
+    def prior(self, theta: Array) -> tuple[Arrow, Array]:
+        """Return information (m, m) and slope (m,) of the prior."""
+        own = self.weights[self.own]
+        H, (recordings, count) = np.diag(self.weights[:self.shared]), self.own.shape
+        g = self.weights * (self.start - theta)
+        g[:self.count] = 0.0
+        for J, deviation in self._wide_priors(theta):
+            H += J.T @ J
+            g[:self.shared] -= J.T @ deviation
+        return Arrow(H, np.zeros((recordings, count, len(H))), own[:, :, None] * np.eye(count),
+                     self.own), g
+
+    def _wide_priors(self, theta: Array) -> Iterator[tuple[Array, Array]]:
+        """
+        Yield derivatives (n, s) and sizes (n,) of deviations in standard deviations.
+
+        They are of K, P and relaxation. Sizes are relative to the mass: K, P, inertia and
+        mass scaled by one factor give equal motion, and only the given mass determines the factor.
+        """
+        half, eye = self.count // 2, np.eye(self.shared)
+        is_axis = np.array([row == column for row, column in self.structure.leads], float)
+        heavier = np.zeros(self.shared)
+        for place in self.places.get('mass', ()):
+            heavier[place] = self.units[place]
+        now = theta[:self.shared]
+        K = eye[:half] - np.outer(is_axis, heavier)
+        yield K / WIDE_LOG_STD, (K @ now) / WIDE_LOG_STD
+        _, scale = self.scales
+        usual = self.structure.parameters(np.eye(6), logarithm(
+            self.ordinary_damping(self.first_cup.stiffness), scale))[half:]
+        P = eye[half:self.count] - np.outer(is_axis, 0.5 * heavier) - 0.5 * eye[:half]
+        yield P / DAMPING_LOG_STD, (P @ now - usual) / DAMPING_LOG_STD
+        for place in self.places.get('relaxation', ()):  # the ratio of r2 and r1
+            r, ratio = self.strengths(theta), np.array([-DEFAULT_RATIO, 1.0])
+            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
+            yield (ratio @ eye[place] * self.units[place[0]] / std)[None], ratio[None] @ r / std
+
+
+def _scaled(payload: Package, free: Free) -> Package:
+    """
+    Return the package of free quantities, with moments of inertia that no body may have.
+
+    The motion does not depend on their possibility, and a search would stop at its limit.
+    """
+    factors = np.exp(0.5 * np.asarray(free.get('inertia', np.zeros(3))))
+    return Package(
+        payload.mass * float(np.exp(np.sum(free.get('mass', 0.0)))),
+        payload.inertia * np.outer(factors, factors),
+        payload.com + free.get('com', np.zeros(3)), is_checked=False)
+
+
+def _changed(
+    change: Callable[[MeasuredSegment], MeasuredSegment], segments: Segments
+) -> tuple[Segments, Outline]:
+    """Return other segments of a recording, and their outline."""
+    other = segments_of([change(segment.measured) for segment in segments])
+    return other, outline_of(other)
+
+
+def _not_below(strengths: ArrayLike) -> tuple[float, float]:
+    """Return strengths of relaxation large enough for internal strains."""
+    r = np.maximum(strengths, MIN_STRENGTH)
+    return float(r[0]), float(r[1])
