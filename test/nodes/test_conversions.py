@@ -108,7 +108,7 @@ def test_a_damaged_message_has_no_stamp(name):
     assert read(data)[:2] == (5, names)
 
 
-@pytest.mark.parametrize('huge', [1e6, -1e308, np.inf, np.nan])
+@pytest.mark.parametrize('huge', [1e6, -1e308, np.inf])
 def test_numbers_beyond_the_bound_are_not_numbers(huge):
     """Of poses, twists and wrenches, but not in a covariance."""
     for name, kind in KINDS.items():
