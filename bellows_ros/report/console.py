@@ -26,7 +26,7 @@ class Progress:
             progress.TextColumn('{task.description}', markup=False),
             progress.TimeRemainingColumn(compact=True),
             console=stream, transient=True, disable=not stream.is_terminal)
-        self._task = self._bar.add_task('', total=None)
+        self._task, self._is_shown = self._bar.add_task('', total=None), stream.is_terminal
 
     def __enter__(self) -> 'Progress':
         """Begin the work; the line is shown with its first stage."""
@@ -42,7 +42,8 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         """Remove the line."""
-        self._bar.stop()
+        if self._is_shown:  # rich 13.7 prints an empty line elsewhere
+            self._bar.stop()
 
 
 class Console(Writer):

@@ -141,8 +141,8 @@ def test_a_table_is_whole_in_a_pipe_and_fits_a_terminal(monkeypatch, capsys):
         assert (len(lines), max(map(len, lines)) > 60) == ((3, True) if not width else (5, False))
 
 
-def test_errors_are_whole_where_they_are_to_be_copied(monkeypatch, capsys):
-    sentence, copied = 'a word ' * 30, f'    name: {"x" * 90}'
+def test_errors_are_whole_where_they_are_to_be_copied(capsys):
+    sentence, copied = 'a word, ' * 30 + 'end', f'    name: {"x" * 90}'
     Console().error(f'{sentence}\n\n/**:\n{copied}')
     assert capsys.readouterr().err == f'bellows: {sentence}\n\n/**:\n{copied}\n'
 
@@ -182,9 +182,9 @@ def test_a_crash_has_its_own_exit_code_and_asks_for_a_report(error, capsys):
 def test_progress_stands_on_a_terminal_and_says_that_nothing_is_compiled_yet(
         is_new, monkeypatch, capsys):
     monkeypatch.setattr(jit, 'IS_NEW', is_new)
-    for terminal in ('1', ''):
-        monkeypatch.setenv('TTY_COMPATIBLE', terminal)
-        monkeypatch.setenv('FORCE_COLOR', terminal)
+    for terminal in ('', '1'):
+        if terminal:
+            monkeypatch.setenv('FORCE_COLOR', terminal)
         with Console().progress as progress:
             progress('fitting', 0.5)
         said = capsys.readouterr().err
