@@ -150,7 +150,7 @@ class Follower:
                 if all(alarm.kind != other.kind or abs(alarm.stamp_ns - other.stamp_ns) > 5e9
                        for _, _, other in self.alarms):
                     self.alarms.append((self.number, t, alarm))
-            if phases[k] >= 0 and k % 2 == 0 and live.held:
+            if phases[k] >= 0 and k % 2 == 0 and live.latest:
                 self._compare(int(phases[k]), cycle.truth[k], k % 10 == 0)
 
     def _switch(self, k: int, held: list[int], stamp_ns: int) -> None:
@@ -174,7 +174,7 @@ class Follower:
 
     def _compare(self, phase: int, truth: np.ndarray, with_covariance: bool) -> None:
         """Keep the errors of the prediction and of the newest measured pose."""
-        prediction, (*o, a, b, c, d) = self.live.held, truth.tolist()
+        prediction, (*o, a, b, c, d) = self.live.latest, truth.tolist()
         assert prediction is not None
         true = tuple(o), (a, b, c, d)
         e = np.r_[pose_error(prediction.body, *true)]
