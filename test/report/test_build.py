@@ -4,7 +4,7 @@ import dataclasses
 import io
 import re
 
-from bellows_ros.files.bag_folder import digests
+from bellows_ros.files.results import digests
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.report.build import identification_page, page, printed
 from bellows_ros.report.text import print_identification, Writer
