@@ -4,8 +4,8 @@ import dataclasses
 import io
 import re
 
-from bellows_ros.files.results import digests
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import digests
 from bellows_ros.report.build import identification_page, page, printed
 from bellows_ros.report.text import print_identification, Writer
 from bellows_ros.workflows.identify import identify
