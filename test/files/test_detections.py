@@ -69,12 +69,13 @@ def detections(pixels, numbers=(7,)):
     return found
 
 
-def calibration(model, k, frame=FRAME, P=None):
+def calibration(model, k, frame=FRAME, P=None, K=MATRIX, offset=(0, 0), binning=(0, 0)):
     """Return a message of the camera."""
-    region = TYPES['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False)
+    x, y = offset
+    region = TYPES['sensor_msgs/msg/RegionOfInterest'](x, y, 0, 0, False)
     return TYPES['sensor_msgs/msg/CameraInfo'](
-        header(made.EPOCH_NS, frame), 720, 1280, model, np.array(k), MATRIX.ravel(),
-        np.eye(3).ravel(), np.zeros(12) if P is None else P.ravel(), 0, 0, region)
+        header(made.EPOCH_NS, frame), 720, 1280, model, np.array(k), K.ravel(),
+        np.eye(3).ravel(), np.zeros(12) if P is None else P.ravel(), *binning, region)
 
 
 def recorded(path, arrays, *cameras):
@@ -103,13 +104,22 @@ def test_corners_are_read_without_the_distortion_of_the_lens(tmp_path, model):
     assert_allclose(stream.rotation, rotation, atol=1e-4)
 
 
-def test_corners_of_a_rectified_image_have_no_distortion(tmp_path):
-    """Its camera is P, with another focal length; K and the distortion are of the raw image."""
+@pytest.mark.parametrize('is_given', [False, True])
+@pytest.mark.parametrize('K, rectified', [(MATRIX, True), (np.zeros((3, 3)), False)])
+def test_corners_of_a_rectified_image_have_no_distortion(tmp_path, K, rectified, is_given):
+    """
+    Its camera is P, with another focal length, as is one that has P alone.
+
+    A pixel (u, v) of the full image is ((u - x_offset) / binning_x, (v - y_offset) / binning_y).
+    """
     true, P = views()[2], np.array([[800.0, 0, 620, 0], [0, 800.0, 350, 0], [0, 0, 1, 0]])
+    window = {'offset': (200, 60), 'binning': (2, 4)} if is_given else {}
     pixels = true * 800.0 + [620.0, 350.0]
+    if is_given:
+        pixels = (pixels - [200.0, 60.0]) / [2.0, 4.0]
     path = recorded(tmp_path / 'b', detections(pixels), calibration(
-        'plumb_bob', LENSES['plumb_bob'], P=P))
-    assert_allclose(read_views(path, 'detections', rectified=True).corners, true, atol=1e-12)
+        'plumb_bob', LENSES['plumb_bob'], P=P, K=K, **window))
+    assert_allclose(read_views(path, 'detections', rectified=rectified).corners, true, atol=1e-12)
 
 
 def test_noisy_corners_give_the_pose_of_least_squares_or_its_second_solution():
@@ -180,7 +190,9 @@ def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     """One message at a time; without a pose, with the reason."""
     pixels = np.apply_along_axis(pixel, -1, views()[2], LENSES['plumb_bob'])
     pixels[5] = pixels[5, 0]  # a point
-    arrays, camera = detections(pixels), calibration('plumb_bob', LENSES['plumb_bob'])
+    camera = calibration('plumb_bob', LENSES['plumb_bob'], offset=(200, 60), binning=(2, 0))
+    pixels = (pixels - [200.0, 60.0]) / [2.0, 1.0]
+    arrays = detections(pixels)
     arrays[8] = detections(pixels, (7, 7))[8]
     arrays[9].detections.clear()
     stream = read_views(recorded(tmp_path / 'b', arrays, camera), 'detections').poses(SIDE)
@@ -192,6 +204,7 @@ def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     position, rotation = zip(*(each for each in seen if not isinstance(each, str)), strict=True)
     assert_allclose(position, stream.position, atol=1e-7)
     assert_allclose(rotation, stream.rotation, atol=1e-6)
+    assert_allclose(position[:5], views()[0][:5], atol=1e-5)
     both = detections(pixels, (3, 7))[0]
     assert live.pose(both, SIDE) == live.pose(arrays[0], SIDE) == 'tag_several'
     assert_allclose(live.pose(both, SIDE, 7)[0], position[0])

@@ -130,10 +130,19 @@ class TagCamera:
 
 
 def camera_of(info: Any, is_rectified: bool) -> Camera:
-    """Return the camera of a CameraInfo: P of the rectified image, or K with the distortion."""
-    if is_rectified:
-        return Camera((*info.p[0:3], *info.p[4:7], *info.p[8:11]), '', ())
-    return Camera(tuple(info.k), info.distortion_model, tuple(info.d))
+    """
+    Return the camera of a CameraInfo: K with the distortion, or P of the rectified image.
+
+    P is also used if it alone is given. Both matrices are of the full image: region of interest
+    and binning apply as sensor_msgs/CameraInfo defines them.
+    """
+    is_rectified = is_rectified or not any(info.k)
+    matrix = np.array([*info.p[0:3], *info.p[4:7], *info.p[8:11]] if is_rectified else info.k)
+    matrix = matrix.reshape(3, 3)
+    matrix[:2, 2] -= info.roi.x_offset, info.roi.y_offset
+    matrix[:2] /= np.maximum([[info.binning_x], [info.binning_y]], 1)
+    lens = ('', ()) if is_rectified else (info.distortion_model, tuple(info.d))
+    return Camera(tuple(matrix.ravel().tolist()), *lens)
 
 
 def pixels_of(array: Any, number: int = ANY) -> list[list[tuple[float, float]]]:
