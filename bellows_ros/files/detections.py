@@ -12,7 +12,8 @@ from bellows_ros.core.sensors.camera import (
     camera_of,
     CornerViews,
     directions,
-    pixels_of,
+    tags_in,
+    tags_of,
     tags_shown,
 )
 from bellows_ros.core.signals.screening import unusable_stamps
@@ -38,7 +39,7 @@ class TagSought(NamedTuple):
     number : int
         Number of the tag, or `ANY`.
     child_frame : str
-        Frame of the tag on /tf.
+        Frame of the tag on /tf, or its family and number.
     rectified : bool
         Whether the image was rectified before the detection.
 
@@ -73,7 +74,7 @@ def read_contents(
                     DETECTIONS, messages.TRANSFORMS):
                 try:
                     contents.streams[role] = (
-                        _poses(read_views(path, topic, tag.number, tag.rectified), tag.side)
+                        _poses(read_views(path, topic, tag), tag.side)
                         if kinds[topic] == DETECTIONS else poses_on_tf(path, tag.child_frame))
                     del contents.problems[role]
                 except BellowsError as problem:
@@ -112,14 +113,12 @@ def _poses(views: CornerViews, side: float) -> Any:
     """Return the poses of a tag with its corners; raise without its side."""
     if not side:
         raise BellowsError(
-            f"Topic '{views.name}' has the corners of tag {views.tag_id}. Set measured.tag_size "
+            f"Topic '{views.name}' has the corners of tag {views.tag}. Set measured.tag_size "
             'to the side of its black square, in m.')
     return views.poses(side)
 
 
-def read_views(
-    path: File, topic: str, number: int = ANY, rectified: bool = False
-) -> CornerViews:
+def read_views(path: File, topic: str, tag: TagSought = NO_TAG) -> CornerViews:
     """
     Read the views of one tag.
 
@@ -129,10 +128,8 @@ def read_views(
         rosbag2 folder, or a bare .mcap or .db3 file.
     topic : str
         Topic of an AprilTagDetectionArray.
-    number : int
-        Number of the tag; `ANY` for the only one.
-    rectified : bool
-        Whether the image was rectified before the detection.
+    tag : TagSought
+        The tag; its side is not used.
 
     Returns
     -------
@@ -148,12 +145,13 @@ def read_views(
     """
     arrays = [(log_ns, array) for _, log_ns, array
               in bags.messages_of(path, {DETECTIONS}, topic)]
-    number = _number_of(topic, path, [array for _, array in arrays], number)
+    tags = [tags_in(array) for _, array in arrays]
+    name = _name_of(topic, path, tags, tag)
     frame = Counter(array.header.frame_id for _, array in arrays).most_common(1)[0][0]
     of_frame: dict[str, list[int]] = defaultdict(list)
     views, stamps, arrivals, places = [], [], [], []
     for place, (log_ns, array) in enumerate(arrays):
-        seen = pixels_of(array, number)
+        seen = tags[place].get(name, [])
         if array.header.frame_id != frame:
             of_frame['frame_id'].append(place)
         elif len(seen) > 1:
@@ -164,25 +162,26 @@ def read_views(
             arrivals.append(log_ns)
             views.append(seen[0])
             places.append(place)
-    camera, calibration = _calibration(path, frame, rectified)
+    camera, calibration = _calibration(path, frame, tag.rectified)
     corners = directions(np.array(views).reshape(-1, 4, 2), *camera)
-    found = CornerViews(absolute(topic), frame, number, np.array(stamps, np.int64), corners,
+    found = CornerViews(absolute(topic), frame, name, np.array(stamps, np.int64), corners,
                         calibration, {reason: tuple(at) for reason, at in of_frame.items()})
     return _usable(found, np.array(arrivals), np.array(places), path)
 
 
-def _number_of(topic: str, path: File, arrays: list[Any], number: int) -> int:
-    """Return the number of the selected tag."""
-    seen = Counter(int(each.id) for array in arrays for each in array.detections)
-    listed = ', '.join(f'{each} ({count} views)' for each, count in sorted(seen.items())) or 'none'
-    if number == ANY and len(seen) == 1:
-        return next(iter(seen))
-    if number == ANY or number not in seen:
-        which = f'no tag {number}' if number != ANY else f'{len(seen)} tags' if seen else 'no tag'
-        raise BellowsError(
-            f"Topic '{topic}' in recording '{Path(path)}' has {which}; seen are: {listed}. Set "
-            'measured.tag_id to the number of the tag on the package.')
-    return number
+def _name_of(topic: str, path: File, views: list[Any], tag: TagSought) -> str:
+    """Return family and number of the selected tag."""
+    found = tags_of(views, tag.number, tag.child_frame)
+    if len(found) == 1:
+        return next(iter(found))
+    seen = ', '.join(f'{shown(name)} ({count} views)' for name, count in sorted(
+        tags_of(views).items())) or 'none'
+    one = tag.child_frame or ('' if tag.number == ANY else str(tag.number))
+    raise BellowsError(
+        f"Topic '{topic}' in recording '{Path(path)}' has "
+        f"{f'{len(found)} tags' if found else f'no tag {shown(one)}'.strip()}; seen without wrong "
+        f'bits are: {seen}. Set measured.tag_id to the number of the tag on the package, or '
+        'measured.child_frame to family:number.')
 
 
 def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:
@@ -215,7 +214,7 @@ def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> Corne
     if not len(kept):
         raise BellowsError(
             f"Topic '{views.name}' in recording '{Path(path)}' has no usable view of tag "
-            f'{views.tag_id}: {messages.describe(refused)}. Check the camera, and record '
+            f'{views.tag}: {messages.describe(refused)}. Check the camera, and record '
             'again.')
     return replace(views, stamps_ns=views.stamps_ns[at], corners=views.corners[at],
                    refused=refused)

@@ -388,7 +388,8 @@ class Observing:
         if not self.is_ready:
             return
         given, stamp_ns = self._pipeline.values.measured, stamp_to_ns(message.header.stamp)
-        seen = self._tag.pose(message, given.tag_size, given.tag_id)
+        seen = self._tag.pose(
+            message, given.tag_size, given.tag_id, given.child_frame)
         if not isinstance(seen, str):
             position, rotation = seen
             self._correct(stamp_ns, message.header.frame_id, (
@@ -398,7 +399,7 @@ class Observing:
             self._no_view[seen] += 1
             self._pipeline.node.get_logger().warning(
                 f'Corners on {self._measured_in.topic} are not used: {health.REASONS[seen]} '
-                f'(tags {", ".join(map(str, sorted(self._tag.numbers)))}, frame '
+                f'(tags {", ".join(map(shown, self._tag.tags))}, frame '
                 f"'{shown(message.header.frame_id)}', calibration on package/camera_info).",
                 throttle_duration_sec=10.0)
 

@@ -1,6 +1,12 @@
 """Corners of tags that apriltag_ros records, through the lens of the camera."""
 
-from bellows_ros.core.sensors.camera import directions, MAX_KEPT, poses_of_corners, TagCamera
+from bellows_ros.core.sensors.camera import (
+    directions,
+    MAX_KEPT,
+    poses_of_corners,
+    RECENT,
+    TagCamera,
+)
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
 from bellows_ros.files.bags import message_types
@@ -94,7 +100,7 @@ def test_corners_are_read_without_the_distortion_of_the_lens(tmp_path, model):
     path = recorded(tmp_path / 'b', detections(pixels), calibration(model, LENSES[model]),
                     calibration('plumb_bob', np.zeros(5), 'another'))
     found = read_views(path, 'detections')
-    assert (found.tag_id, found.frame_id, found.refused) == (7, FRAME, {})
+    assert (found.tag, found.frame_id, found.refused) == ('36h11:7', FRAME, {})
     assert_array_equal(found.stamps_ns, made.stamps(COUNT))
     assert_allclose(found.corners, true, atol=1e-8)
     stream = read_contents(path, {'package_pose': '/detections'}, TagSought(SIDE)).streams[
@@ -119,7 +125,8 @@ def test_corners_of_a_rectified_image_have_no_distortion(tmp_path, K, rectified,
         pixels = (pixels - [200.0, 60.0]) / [2.0, 4.0]
     path = recorded(tmp_path / 'b', detections(pixels), calibration(
         'plumb_bob', LENSES['plumb_bob'], P=P, K=K, **window))
-    assert_allclose(read_views(path, 'detections', rectified=rectified).corners, true, atol=1e-12)
+    found = read_views(path, 'detections', TagSought(rectified=rectified))
+    assert_allclose(found.corners, true, atol=1e-12)
 
 
 def test_noisy_corners_give_the_pose_of_least_squares_or_its_second_solution():
@@ -142,10 +149,35 @@ def refusal(path, tag=TAG):
 def test_several_tags_are_listed_and_one_is_chosen_by_its_number(tmp_path):
     pixels = views()[2] * 900.0 + 600.0
     path = recorded(tmp_path / 'b', detections(pixels, (3, 7)), calibration('plumb_bob', ()))
-    assert '3 (40 views), 7 (40 views)' in refusal(path) and 'measured.tag_id' in refusal(path)
-    assert 'no tag 5' in refusal(path, TagSought(SIDE, 5))
-    assert read_views(path, 'detections', 7).tag_id == 7
+    assert '36h11:3 (40 views), 36h11:7 (40 views)' in refusal(path)
+    assert 'measured.tag_id' in refusal(path) and 'no tag 5' in refusal(path, TagSought(SIDE, 5))
+    assert read_views(path, 'detections', TagSought(number=7)).tag == '36h11:7'
     assert 'measured.tag_size' in refusal(path, TagSought(0.0, 7))
+
+
+@pytest.mark.parametrize('family, number, hamming, every, is_false', [
+    ('36h11', 3, 2, 1, True), ('36h11', 3, 0, 120, True), ('16h5', 7, 0, 120, True),
+    ('36h11', 3, 0, 2, False), ('16h5', 7, 0, 2, False)])
+def test_a_false_detection_is_ignored_and_another_tag_is_not(
+        tmp_path, family, number, hamming, every, is_false):
+    """Recorded and live; the second tag has wrong bits, or is seen in a share of the views."""
+    arrays = sum((detections(views()[2] * 900.0 + 600.0, (7, number)) for _ in range(3)), [])
+    for place, (array, stamp) in enumerate(zip(arrays, made.stamps(3 * COUNT), strict=True)):
+        array.header = header(stamp)
+        array.detections[1].family, array.detections[1].hamming = family, hamming
+        del array.detections[1 + (place % every == 20 % every):]
+    camera, live = calibration('plumb_bob', ()), TagCamera()
+    live.calibrate(camera, is_rectified=False)
+    poses = [live.pose(array, SIDE) for array in arrays]
+    path = recorded(tmp_path / 'b', arrays, camera)
+    if is_false:
+        assert len(read_views(path, 'detections').corners) == 3 * COUNT
+        assert sum(each == 'tag_several' for each in poses) <= 30 and poses[-1] != 'tag_several'
+    else:
+        assert f'{family}:{number}' in refusal(path) and poses[-1] == 'tag_several'
+        chosen = TagSought(SIDE, child_frame='36h11:7')
+        assert read_views(path, 'detections', chosen).tag == '36h11:7'
+        assert not isinstance(live.pose(arrays[0], SIDE, name='36h11:7'), str)
 
 
 def test_views_that_show_no_single_tag_are_counted_by_reason(tmp_path):
@@ -230,7 +262,7 @@ def test_hostile_corners_and_cameras_neither_raise_nor_grow(model, coefficients)
         array.header.frame_id = info.header.frame_id
         seen = camera.pose(array, SIDE, trial)
         assert seen == 'tag_no_pose' or np.isfinite(seen[0]).all()
-    assert len(camera.numbers) <= MAX_KEPT and len(camera._cameras) <= MAX_KEPT
+    assert len(camera._views) <= RECENT and len(camera._cameras) <= MAX_KEPT
 
 
 def test_a_tag_on_tf_is_read_in_the_frame_of_its_camera(tmp_path):

@@ -6,7 +6,8 @@ length shows them. The distortion models follow sensor_msgs/CameraInfo, with the
 OpenCV: k1, k2, p1, p2, k3 of `plumb_bob`, and also k4, k5, k6 of `rational_polynomial`.
 """
 
-from collections.abc import Mapping
+from collections import Counter, defaultdict, deque
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -39,7 +40,13 @@ ANY = -1
 """Number that stands for the only tag."""
 
 MAX_KEPT = 8
-"""Largest number of cameras, and of tags, that a live input stores."""
+"""Largest number of cameras, and of tags of one view, that a live input stores."""
+
+MIN_SHARE = 0.02
+"""Smallest share of the views of the most frequent tag: a tag in fewer is a false detection."""
+
+RECENT = 100
+"""Number of views in which a live input counts tags: one false detection is below `MIN_SHARE`."""
 
 
 class Camera(NamedTuple):
@@ -61,8 +68,8 @@ class CornerViews:
         Topic of the detections.
     frame_id : str
         Frame of the camera, z along its line of sight.
-    tag_id : int
-        Number of the tag.
+    tag : str
+        Family and number of the tag.
     stamps_ns : int array (N,)
         Increasing header stamps, ns.
     corners : array (N, 4, 2)
@@ -76,7 +83,7 @@ class CornerViews:
 
     name: str
     frame_id: str
-    tag_id: int
+    tag: str
     stamps_ns: Stamps
     corners: Array
     calibration: str = ''
@@ -99,7 +106,12 @@ class TagCamera:
 
     def __init__(self) -> None:
         self._cameras = dict[str, Camera]()
-        self.numbers = set[int]()
+        self._views = deque[Collection[str]](maxlen=RECENT)
+
+    @property
+    def tags(self) -> list[str]:
+        """The names of the tags in the latest views."""
+        return sorted(tags_of(self._views))
 
     def calibrate(self, info: Any, is_rectified: bool) -> None:
         """Use a CameraInfo for the images of its frame; raise BellowsError if it has no camera."""
@@ -110,17 +122,21 @@ class TagCamera:
             if len(self._cameras) > MAX_KEPT:
                 del self._cameras[next(iter(self._cameras))]
 
-    def pose(self, array: Any, side: float, number: int = ANY) -> tuple[Array, Array] | str:
+    def pose(
+        self, array: Any, side: float, number: int = ANY, name: str = ''
+    ) -> tuple[Array, Array] | str:
         """
         Return position (3,) and rotation (3, 3) of a tag with a side (m) in the camera.
 
         Without a pose, the result is the reason as a string, '' if the tag is not visible.
         """
-        seen_now = {int(each.id) for each in array.detections}
-        self.numbers = set(sorted(self.numbers | seen_now)[:MAX_KEPT])
-        if number == ANY and len(self.numbers) > 1:
+        now = tags_in(array)
+        if sought := sorted(tags_of([now], number, name)):
+            self._views.append(sought[:MAX_KEPT])
+        tags = tags_of(self._views, number, name)
+        if len(tags) > 1:
             return 'tag_several'
-        seen = pixels_of(array, number)
+        seen = [corners for tag in tags for corners in now.get(tag, ())]
         if len(seen) != 1:
             return 'tag_twice' if seen else ''
         if (camera := self._cameras.get(array.header.frame_id)) is None:
@@ -145,10 +161,25 @@ def camera_of(info: Any, is_rectified: bool) -> Camera:
     return Camera(tuple(matrix.ravel().tolist()), *lens)
 
 
-def pixels_of(array: Any, number: int = ANY) -> list[list[tuple[float, float]]]:
-    """Return the corners (pixels) of all tags with a given number in an AprilTagDetectionArray."""
-    return [[(corner.x, corner.y) for corner in each.corners] for each in array.detections
-            if number in (ANY, each.id)]
+def tags_in(array: Any) -> dict[str, list[list[tuple[float, float]]]]:
+    """
+    Return the corners (pixels) of the tags in an AprilTagDetectionArray, by family and number.
+
+    Detections with wrong bits are omitted: most of them show no tag.
+    """
+    tags = defaultdict(list)
+    for each in array.detections:
+        if not each.hamming:
+            tags[f'{each.family:.40}:{each.id}'].append([(at.x, at.y) for at in each.corners])
+    return tags
+
+
+def tags_of(views: Iterable[Collection[str]], number: int = ANY, name: str = '') -> dict[str, int]:
+    """Return the tags of a number and a name, if given, with their views; without false ones."""
+    counts = Counter(tag for view in views for tag in view if name in ('', tag)
+                     and (number == ANY or tag.endswith(f':{number}')))
+    least = MIN_SHARE * max(counts.values(), default=0)
+    return {tag: count for tag, count in counts.items() if count >= least}
 
 
 def tags_shown(corners: Array) -> tuple[Mask, Array, Array]:
