@@ -43,10 +43,6 @@ test-lanes: $(VENV)/ready  ## run the demo, installations, the commands of all p
 test-oldest: .venv-oldest/ready  ## run it on what Ubuntu 24.04 has, without numba
 	@$(OLDEST)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
 
-.PHONY: soak
-soak: $(VENV)/ready  ## attack a predictor for 12 minutes beside a twin (ARGS='--seconds 60': short)
-	@$(BIN)/python -m test.soak $(ARGS)
-
 .PHONY: bench
 bench: $(VENV)/ready  ## measure the speed, and print it
 	@$(BIN)/python -m benchmarks $(ARGS)
@@ -58,10 +54,6 @@ bench-quick: $(VENV)/ready  ## whether something takes twice as long as it shoul
 .PHONY: test-long
 test-long: $(VENV)/ready  ## run what is too much for the suite: repetitions, rates, damaged files, long benchmarks
 	@$(BIN)/python -m pytest -m stress $(ARGS)
-
-.PHONY: mutants
-mutants: $(VENV)/ready  ## change 40 lines of core at random, and print the changes that no test notices
-	@$(BIN)/python -m test.mutants $(ARGS)
 
 .PHONY: lint
 lint: $(VENV)/ready  ## ruff, the flake8 and pep257 rules of ament, mypy --strict, workflows

@@ -9,6 +9,7 @@ processes inherit its outcome. See `missing_library_paths` for the one case wher
 
 from contextlib import contextmanager
 from dataclasses import dataclass
+import fcntl
 import importlib.util
 import os
 from pathlib import Path
@@ -89,19 +90,24 @@ def pytest_configure(config):
         raise pytest.UsageError(
             f'{BOOTSTRAPPED} is set, but not by this Python ({sys.executable}): the ROS libraries '
             f'cannot be found. Start again with: env -u {BOOTSTRAPPED} {sys.executable} -m pytest')
-    if config.getoption('numprocesses', None) and 'PYTEST_XDIST_WORKER' not in os.environ:
+    is_whole = config.args_source != pytest.Config.ArgsSource.ARGS and not config.option.keyword
+    is_first = 'PYTEST_XDIST_WORKER' not in os.environ
+    if is_whole and is_first and config.getoption('numprocesses', None):
         from bellows_ros.core.geometry.jit import COMPILED
         from bellows_ros.workflows.warm_up import PARTS, RELAXING, warm_up
 
         if COMPILED:
+            print('The kernels are compiled first, once for all workers.', flush=True)
             warm_up(PARTS, ((0.0, 0.0), RELAXING))
 
 
 def compiled(*arguments):
-    """Compile a part outside the time limit of a test; import late, as NumPy loads slowly."""
-    from bellows_ros.workflows.warm_up import compile_part
+    """Compile a part outside the time limit of a test, in one worker; others then load it."""
+    from bellows_ros.workflows.warm_up import compile_part  # late, as NumPy loads slowly
 
-    compile_part(*arguments)
+    with (ROOT / 'pyproject.toml').open() as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        compile_part(*arguments)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -155,13 +161,6 @@ def pytest_unconfigure():
 def predictor_kernels():
     """Compile predictions."""
     compiled('prediction')
-
-
-@pytest.fixture(scope='session')
-def rubber_kernels():
-    """Compile for a cup that relaxes."""
-    for part in ('prediction', 'plans'):
-        compiled(part, (0.2, 0.2))
 
 
 @pytest.fixture(scope='session')

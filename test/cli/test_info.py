@@ -3,20 +3,10 @@
 import json
 import re
 
-from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.parameter_files import read_parameters
-import numpy as np
 import pytest
 
 from .conftest import KNOWN
-
-
-def test_it_says_what_is_there(quietly, workshop):
-    """Print topics, roles and why."""
-    done = quietly('info', 'recording', cwd=workshop)
-    for words in ('/tool_arm/pose', '300.0 Hz', 'probably /package/pose', 'hangs below it',
-                  '1 gap, the longest', 'stand still for the first'):
-        assert words in done.stdout, done.stdout
 
 
 def test_it_says_the_noise_and_which_axis_is_up(bellows, root):
@@ -52,22 +42,6 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(
                    tmp_path / 'cup.yaml', cwd=workshop)
     assert read_parameters(tmp_path / 'cup.yaml')['cup.length'] == 0.046
     assert read_parameters(file)['topics.tool_pose'] == '/tool_arm/pose'
-
-
-def test_names_in_a_recording_give_no_orders_to_the_terminal(bellows, tmp_path):
-    """Escape what a terminal would act upon, and lines that would pass for the command's own."""
-    topic, frame = '/tool\x1b]0;title\x07\u202e', 'a\x1b[2J\nWorld    probably down'
-    stamps = np.arange(1, 400) * 5_000_000
-    values = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
-    write_bag(tmp_path / 'bag', [
-        as_messages(topic, 'geometry_msgs/msg/PoseStamped', stamps, values, frame)])
-    for arguments in (['info', 'bag'], ['info', 'bag', '--json', '-'],
-                      ['identify', 'bag', '--set', f'topics.tool_pose={topic}']):
-        done = bellows(*arguments, cwd=tmp_path)
-        said = done.stdout + done.stderr
-        assert 'tool' in said
-        assert all(c.isprintable() or c == '\n' for c in said), repr(said)
-        assert '\nWorld' not in said
 
 
 def test_a_part_of_a_recording_is_looked_at(succeed, workshop, tmp_path):

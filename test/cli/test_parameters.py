@@ -7,15 +7,6 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.files.parameter_files import read_parameters
 
 
-def test_every_parameter_is_listed(bellows):
-    """Show name, unit, default and sentence of each."""
-    text = ' '.join(bellows('parameters').stdout.split())
-    for parameter in PARAMETERS.values():
-        assert f'{parameter.name} ' in text
-        assert ' '.join(parameter.description.split()) in text
-        assert ' '.join(parameter.constraint.split()) in text
-
-
 def test_names_choose(bellows):
     """Show only those whose names begin as asked for."""
     done = bellows('parameters', 'filter.tool', 'gravity')

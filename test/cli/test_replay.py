@@ -1,14 +1,10 @@
 """`bellows replay`: how well a cup predicts a recording, and what that says of the cup."""
 
-from dataclasses import replace
 import json
 import re
 
 from bellows_ros.core.signals.residuals import AXES
-import numpy as np
 import pytest
-
-from ..workflows.two_clocks import rewritten, TOPICS
 
 NOISE = {'mm': 0.02, 'deg': 0.0057}  # of the package's poses in the recording
 
@@ -43,18 +39,6 @@ def test_a_wrong_cup_exits_with_1(bellows, workshop):
     assert done.returncode == 1
     assert '5 %' in done.stdout and 'cup.stiffness' in done.stderr
     assert bellows(*arguments, cwd=workshop).returncode == 1
-
-
-def test_twists_in_degrees_are_named_and_left_out_as_the_sentence_says(
-    bellows, quietly, workshop, tmp_path
-):
-    bag = rewritten(
-        [workshop / 'recording'], tmp_path / 'degrees', lambda role, stream: stream if (
-            role != 'tool_twist') else replace(stream, angular=np.degrees(stream.angular)), TOPICS)
-    given = ('replay', bag, '--params', workshop / 'cup.yaml')
-    said = ' '.join(bellows(*given).stderr.split())
-    assert 'in degrees per second' in said and "set topics.tool_twist: ''" in said
-    quietly(*given, '--set', 'topics.tool_twist=')
 
 
 def test_a_time_offset_is_printed_and_json_and_page_are_written(succeed, workshop, tmp_path):

@@ -65,16 +65,3 @@ def test_finds_the_time_for_a_target(bellows):
     far = bellows('toss', PLAN, '--params', PARAMS, '--target', 100.0, 0.0)
     assert far.returncode == 1
     assert 'No release of this plan lands at the target' in ' '.join(far.stderr.split())
-
-
-def test_warns_of_a_package_that_may_flip_before_it_is_let_go(bellows, tmp_path):
-    """Say it of a cup that is too soft in bending, where the grip is not known either."""
-    soft = tmp_path / 'soft.yaml'
-    stiffness = np.diag([5400.0, 5400.0, 9200.0, 0.3, 0.3, 1.35]).ravel().tolist()
-    soft.write_text(
-        f'/**: {{ros__parameters: {{cup: {{stiffness: {stiffness}}}, '
-        'package: {com: [0.0, 0.0, -0.1]}, vacuum: {holding: 0.0}}}')
-    for more in ([], ['--params', soft]):
-        done = bellows('toss', PLAN, '--params', PARAMS, *more, '--release', 3.0, '--json', '-')
-        warnings = ' '.join(json.loads(done.stdout)['warnings'])
-        assert ('may flip' in warnings) == bool(more), done.stderr

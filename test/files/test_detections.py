@@ -207,17 +207,6 @@ def test_a_camera_without_calibration_is_refused():
         directions(np.zeros((1, 2)), np.zeros(9), 'plumb_bob', np.zeros(5))
 
 
-def test_the_corners_of_the_cell_are_read(root):
-    """Against what its truth holds, as detected."""
-    path = root.parent / 'shared/cell/tag_corners/962'
-    if not path.exists():
-        pytest.skip('the recordings of the cell are not here (../shared/cell)')
-    truth = np.load(f'{path}_truth.npz')
-    found = read_views(path, '/detections')
-    assert_array_equal(found.stamps_ns, truth['stamps'])
-    assert_allclose(found.corners, (truth['corners'] - [640.0, 360.0]) / truth['f'], atol=1e-12)
-
-
 def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     """One message at a time; without a pose, with the reason."""
     pixels = np.apply_along_axis(pixel, -1, views()[2], LENSES['plumb_bob'])

@@ -150,13 +150,3 @@ def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
         with pytest.raises(BellowsError):
             write_parameters(path, values)
     assert path.read_text() == 'old'
-
-
-def test_every_parameter_is_written_with_its_sentence_and_unit():
-    values = resolve(PACKAGE).replaced({'recording.package_frame': 'com', **LISTS})
-    text = ' '.join(format_parameters(values).split())
-    for parameter in PARAMETERS.values():
-        sentence = ' # '.join(parameter.description.split())
-        assert sentence.replace(' # ', ' ') in text.replace(' # ', ' ')
-        if parameter.unit and parameter.length != 36:
-            assert f'# {parameter.unit}' in text

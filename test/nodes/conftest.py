@@ -4,7 +4,6 @@ import importlib.util
 from pathlib import Path
 import subprocess
 import sys
-import time
 from typing import Any
 
 import pytest
@@ -195,10 +194,6 @@ class Partner(Peer):
         """Spin until so many predictions have come."""
         assert self.ros.spin_until(lambda: len(self.poses) >= count), (
             f'{len(self.poses)} of {count} predictions')
-
-    def is_lost(self):
-        """Return whether the time since the last pose exceeds the limit of the extrapolation."""
-        return bool(self.predictor.pipeline.live.phase(time.monotonic_ns()) == 'lost')
 
     def wait_for_inputs(self, poses):
         """Spin until the predictor has received a number of poses, rejected ones included."""

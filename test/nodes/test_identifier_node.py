@@ -1,6 +1,5 @@
 """The identifier node: finds the cup beside the executor and shows it as parameters."""
 
-import json
 
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
@@ -88,24 +87,6 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path,
                 and value == PARAMETERS[name].default]
 
 
-def test_all_that_the_command_can_do_the_node_can(ros, root, tmp_path):
-    """Give packages in files, standstills, validation and a page."""
-    package = [str(root / 'bags/package.yaml')]
-    node = make(
-        ros, PACKAGE | read_parameters(package[0]), bags=[str(root / 'bags/identification')],
-        fit__method='output_error', package__files=package,
-        static__bags=[str(root / 'bags/static')], static__files=package,
-        validation__bags=[str(root / 'bags/validation')], **TOPICS,
-        output__json=str(tmp_path / 'fit.json'), output__report=str(tmp_path / 'page.html'),
-        exit_when_done=True)
-    assert result_of(ros, node) is None
-    content = json.loads((tmp_path / 'fit.json').read_text())
-    assert content['with_standstills']['standstills'] == 7
-    assert content['validations'][0]['above_limit'] == []
-    assert content['recordings'][0]['package']['mass'] == 1.8
-    assert '7 standstills are part of the fit' in (tmp_path / 'page.html').read_text()
-
-
 def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root, monkeypatch):
     """Start without package.*, and give up waiting after a while, with the cup found."""
     monkeypatch.setattr('bellows_ros.nodes.identifier_node.PREDICTOR_TIMEOUT', 0.2)
@@ -116,15 +97,3 @@ def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root
     with pytest.raises(BellowsError, match="'/elsewhere'"):
         result_of(ros, node)
     assert node.has_parameter('cup.stiffness')
-
-
-@pytest.mark.stress
-def test_a_forgotten_length_is_among_the_reasons(ros, root, tmp_path):
-    """Take the thesis' length for a cup 2.1 mm shorter: say so, and that it was not set."""
-    stated = read_parameters(root / 'bags/package.yaml')
-    known = {name: value for name, value in stated.items() if name.startswith('package')}
-    node = make(ros, {**PACKAGE, **known}, bags=[str(root / 'bags/validation')], **TOPICS,
-                output__parameters=str(tmp_path / 'cup.yaml'))
-    with pytest.raises(BellowsError, match=r'cup\.length is 2\.1\d+ .* cup\.length is not set'):
-        result_of(ros, node)
-    assert not (tmp_path / 'cup.yaml').exists() and not node.has_parameter('cup.stiffness')

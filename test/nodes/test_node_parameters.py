@@ -6,7 +6,6 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import parameters_for
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.nodes import pipeline
 import numpy as np
 import pytest
@@ -129,23 +128,6 @@ def test_one_file_serves_both_nodes(make_predictor, capfd):
     assert f"'{misspelt}'" in capfd.readouterr().err
     assert node.get_parameter('package.mass').value == 2.0
     assert not node.has_parameter('fit.structure')
-
-
-def test_file_with_named_cups_survives_a_round_trip_through_a_node(make_predictor, tmp_path):
-    """Start from a file that was written, show what it says, and start from what is shown."""
-    given = {**PACKAGE, 'cup.name': 'soft', 'cups.soft.stiffness': K, 'cups.soft.length': 0.05,
-             'cups.hard.stiffness': THESIS.stiffness.ravel().tolist(), 'coast.limit': 0.05}
-    written, shown = tmp_path / 'cups.yaml', given
-    for _ in range(2):
-        write_parameters(written, shown)
-        assert read_parameters(written).keys() >= given.keys()
-        node = make_predictor({}, cli_args=['--ros-args', '--params-file', str(written)])
-        for name, value in given.items():
-            got = node.get_parameter(name).value
-            assert (list(got) if isinstance(value, list) else got) == value
-        assert used(node)[0][0][0] == K[0]
-        shown = node.values
-        node.close()
 
 
 def extremes(parameter):

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import FluidPressure
 
 from .conftest import ORIGIN, PACKAGE, placed, set_on, stamped, UPRIGHT
 from ..core.observer.cases import truth
@@ -124,36 +123,6 @@ def test_counts_begin_again_with_the_observer(make_partner):
     assert report(0).level == Level.ERROR
     predictor.pipeline.live.on_valve(False, start_ns)
     assert report(0).level == report(1).level == Level.WARN
-
-
-@pytest.mark.parametrize('moves', [True, False])
-def test_vacuum_that_breaks_down_in_motion_is_a_loss(make_partner, capfd, moves):
-    """Raise one alarm at once, before the camera sees anything; at rest it is a release."""
-    partner = make_partner({**PACKAGE, 'vacuum.signal': 'pressure'})
-    predictor, live = partner.predictor, partner.predictor.pipeline.live
-    vacuum = partner.writes(FluidPressure, 'vacuum/pressure')
-    partner.connect()
-    vacuum.publish(FluidPressure(fluid_pressure=40e3))
-    partner.wait(lambda: live.attached)
-    start_ns, speed = time.time_ns(), 0.3 * moves
-    for k in range(1, 50):
-        partner.send(
-            start_ns + k * 4_000_000, (speed * k * 4e-3, 0.0, 0.0), (speed, 0.0, 0.0))
-    partner.wait_for_poses(49)
-    held = partner.poses[-1]
-    message = stamped(PoseStamped(), start_ns + 49 * 4_000_000)
-    message.pose = held.pose
-    predictor.pipeline.observing._make_ready()
-    predictor.pipeline.observing._on_measured(serialize_message(message))
-    for _ in range(3):
-        vacuum.publish(FluidPressure(fluid_pressure=100e3))
-    partner.wait(lambda: not live.attached)
-    predictor.pipeline.observing._on_measured(serialize_message(message))
-    assert [alarm.kind for alarm in live.package.observer.alarms] == ['lost'] * moves
-    assert predictor.pipeline.outputs._last_state == ('alarm: lost' if moves else 'detached')
-    said = capfd.readouterr().err
-    assert said.count('Alarm, lost: The package is lost') == moves
-    assert f'Package: {"lost" if moves else "released"}.' in said
 
 
 def test_wrenches_weigh_the_package(make_partner):

@@ -6,7 +6,6 @@ from bellows_ros.core.live import load as loads
 from bellows_ros.core.live.load import Load
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.report import health
-from bellows_ros.report.findings import text
 from bellows_ros.report.health import fact, InputReport, Level, quantiles
 import numpy as np
 from numpy.testing import assert_allclose
@@ -85,8 +84,3 @@ NO_LINK = fact('qos', topic='/topic', name='durability')
 def test_level_of_a_status(status, level, words):
     assert status.level == level
     assert words in status.message
-
-
-@pytest.mark.parametrize('phase', ['detached', 'waiting', 'settling', 'coasting', 'lost'])
-def test_every_phase_has_a_sentence(phase):
-    assert text(of_prediction(phase=phase).finding).lower().startswith(phase)

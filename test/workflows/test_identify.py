@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 import json
-import re
 
-from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
@@ -87,26 +85,6 @@ def test_clean_recording_of_the_rig(rig):
     assert result.warnings == ()
 
 
-@pytest.mark.parametrize('method', ['least_squares', pytest.param(
-    'output_error', marks=pytest.mark.skipif(
-        not COMPILED, reason='numba is not installed: the fit takes minutes interpreted'))])
-def test_same_recording_and_settings_give_the_same_bits(shipped, root, method):
-    settings = {**shipped[0].values, 'fit.method': method, 'recording.end': 4.0,
-                'bags': [str(root / 'bags/validation')]}
-    found = []
-    texts = [
-        format_json(identify(settings, lambda what, part: found.append(what)).as_json())
-        for _ in range(2)]
-    assert texts[0] == texts[1]
-    steps = [what for what in found if what.startswith('step')]
-    if method == 'output_error':  # cost and parameters of every step
-        assert all(re.match(r'step \d+: chi\^2 [\d.]+.*; K [\d.e+ ]+, P [\d.e+ ]+$', s)
-                   for s in steps)
-        assert len(steps) == 2 * len(json.loads(texts[0])['iterations'])
-    else:
-        assert steps == []
-
-
 def test_package_files_must_be_one_for_each_recording():
     with pytest.raises(BellowsError, match=r'\b1\b.*\b2\b'):
         identify({'bags': ['a', 'b'], 'package.files': ['a']})
@@ -166,16 +144,6 @@ def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path
     assert content['settings']['static.bags'] == list(weights)
     assert content['settings']['cup.length'] == 0.0475, 'what was given, not what was found'
     assert len(content['provenance']['recordings']) == 1 + len(weights)
-
-
-def test_a_validation_comes_with_the_fit(shipped, root):
-    result = identify({
-        **shipped[0].values, 'validation.bags': [str(root / 'bags/validation')]})
-    (validated,) = result.validations
-    assert validated.validation.failing() == ()
-    assert any('predicted within 5 %' in line for line in result.notes)
-    assert f'{validated.bag}: The recording leaves the validity range' in result.warnings[-1]
-    assert 'bending about x is -13.' in result.warnings[-1]  # twice what the fit has seen
 
 
 def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_path):
@@ -243,23 +211,6 @@ def test_a_rejected_cup_is_written_only_by_force_with_a_note(shipped, tmp_path):
 def settings(root, known):
     """Return the parameters of a short recording."""
     return {**known, 'bags': [str(root / 'bags/validation')]}
-
-
-def test_a_wrong_length_and_centre_are_found_and_used(settings):
-    """Start 2 mm off, where K would be several times too large, with all else as it is."""
-    result = identify({
-        **settings, 'fit.free': ['length'], 'cup.length': 0.048, 'recording.end': 8.0,
-        'package.com_std': (0.0,) * 3, 'recording.marker_std': (0.0, 0.0)})
-    content = json.loads(format_json(result.as_json()))['found_parameters']['cup.length']
-    value, std = content['value'], content['std']
-    assert abs(value - 0.046) < 4.0 * std < 4e-4 and content['units']['std'] == 'm'
-    assert result.parameters()['cup.length'] == pytest.approx(result.cup_length, abs=1e-8)
-    assert result.parameters()['cup.length_std'] == pytest.approx(std)
-    assert value == pytest.approx(result.cup_length, abs=1e-8)
-    error = result.fit.stiffness[2, 2] - 9200.0
-    assert abs(error) < 4.0 * result.fit.stiffness_std[2, 2] < 0.05 * 9200.0
-    assert any(line.startswith('cup.length was estimated') for line in result.notes)
-    assert result.refusals == () and np.all(result.verdict.simulated[0].rms[:3] < 3e-4)
 
 
 @pytest.mark.parametrize(('change', 'named'), [

@@ -102,19 +102,6 @@ def test_twists_in_degrees_are_said_first_and_left_out(m, tmp_path, unit):
         assert 'tool_twist.frame' not in found.settings
 
 
-@pytest.mark.parametrize('every', [1, 2])
-def test_bursts_are_reported_first_and_not_as_jitter(m, tmp_path, every, many=50):
-    """Beside a tool that is stamped when it is measured."""
-    t, o, R = (m[name][::every] for name in ('t', 'o_p', 'R_p'))
-    number = np.arange(len(t))
-    last = np.minimum(number // many * many + many - 1, len(number) - 1)
-    notes = described(
-        tmp_path, poses('/p', t[last] + 2e-4 * (number % many), o, R),
-        poses('/e', m['t'], m['o'], m['R'])).notes
-    assert "'/p' come in bursts, as if stamped on arrival" in notes[0]
-    assert not any('jitter' in note for note in notes)
-
-
 def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(m, tmp_path):
     """Say that the axes are not known then."""
     still = {name: np.repeat(x[:1], 400, axis=0) for name, x in m.items()}
@@ -184,23 +171,6 @@ def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside
     if reason:
         assert free == {'recording.package_world': 'estimate', 'fit.time_offset': True,
                         'fit.free': ('package_marker',), 'fit.method': 'output_error'}
-
-
-def test_a_flange_with_z_outward_is_named(m, tmp_path):
-    """By gravity and the tool's poses alone, whether or not a camera has a world of its own."""
-    for frame in ('world', 'camera'):
-        found = described(
-            tmp_path, poses('/package', m['t'], m['o_p'], m['R_p'], frame),
-            poses('/tool', m['t'], m['o'], m['R'] @ np.diag([1.0, -1.0, -1.0])))
-        assert 'tool_pose.offset' in found.notes[0]
-        assert found.settings['tool_pose.offset'] == '0 0 0 1 0 0 0'
-
-
-def test_faults_of_the_poses_are_reported_first(m, tmp_path):
-    found = described(
-        tmp_path, poses('/package', m['t'], m['o_p'], m['R'][0] + 0.0 * m['R']),
-        poses('/tool', m['t'], m['o'], m['R']))
-    assert 'orientation is frozen' in found.notes[0]
 
 
 @pytest.mark.parametrize(('signal', 'topic', 'kind'), [

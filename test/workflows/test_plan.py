@@ -176,12 +176,6 @@ def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
             assert_allclose(read[figure], found[figure], rtol=1e-6)
 
 
-def test_a_recording_without_a_plan_gets_an_error_with_the_forms_of_plans(tmp_path):
-    bag = bag_of(tmp_path / 'bag', DESCRIPTION, serialized(DESCRIPTION, ('none',)))
-    with pytest.raises(BellowsError, match='DisplayTrajectory'):
-        figures(bag)
-
-
 def test_recorded_poses_are_a_plan(truth, tmp_path):
     times, poses, twists = samples(500)
     both = [as_messages('/tool_arm/pose', POSE, T0 + times, poses, 'base'),
@@ -249,14 +243,6 @@ def test_lost_grip_and_unknown_grip_are_reported(bag):
             'envelope.rates': [0.1] * 6, 'cup.valid_mass': [1.8, 1.8]}
     outside = figures(bag, values=seen)['outside_validity']
     assert any('bending about' in phrase for phrase in outside)
-
-
-def test_a_bad_plan_is_refused(bag, tmp_path):
-    poses = message().poses.copy()
-    poses[70, 0] = 9.0
-    bag = bag_of(tmp_path / 'jump', MULTI_DOF, encode_multi_dof(message(poses=poses)))
-    with pytest.raises(BellowsError, match='points 69 and 70'):
-        figures(bag)
 
 
 def test_what_is_no_plan_is_refused(tmp_path):

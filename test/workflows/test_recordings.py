@@ -4,9 +4,7 @@ from dataclasses import replace
 
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import read_streams
-from bellows_ros.workflows.recordings import load, prepare_settings, prepare_streams
-import numpy as np
+from bellows_ros.workflows.recordings import load
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
@@ -66,20 +64,3 @@ def test_a_part_of_a_recording_is_what_lies_there(root, values):
     for start, end in ((3.0, 2.0), (1e5, 0.0)):
         with pytest.raises(BellowsError, match=r'recording\.start'):
             load(bag, values.replaced({'recording.start': start, 'recording.end': end}))
-
-
-def test_faults_that_no_fit_corrects_are_refused_before_it(root, values, tmp_path):
-    """Of the poses alone, in milliseconds, with the topic and a remedy."""
-    streams = read_streams(root / 'bags/validation', {
-        'tool_pose': '/tool_arm/pose', 'package_pose': '/package/pose'})
-    tool, package = streams['tool_pose'], streams['package_pose']
-    settings = prepare_settings(values)
-    frozen = replace(package, rotation=np.tile(package.rotation[:1], (len(package), 1, 1)))
-    with pytest.raises(BellowsError, match=r"'/package/pose'.* orientation is frozen"):
-        prepare_streams({'tool_pose': tool, 'package_pose': frozen}, settings, values)
-    outward = replace(tool, rotation=tool.rotation @ np.diag([1.0, -1.0, -1.0]))
-    apart = values.replaced({'recording.package_world': 'estimate'})
-    with pytest.raises(BellowsError, match=r'tool_pose\.offset'):
-        prepare_streams({
-            'tool_pose': outward, 'package_pose': replace(package, frame_id='camera')},
-            settings, apart)

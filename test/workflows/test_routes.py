@@ -141,19 +141,6 @@ def test_no_scheduler(settings, address, monkeypatch):
     gc.collect()  # nothing is left that would wait for the scheduler when it is collected
 
 
-def processes():
-    """Return the processes with recordings that this one has started."""
-    found = []
-    for folder in Path('/proc').glob('[0-9]*'):
-        try:
-            parent = int((folder / 'stat').read_text().rpartition(')')[2].split()[1])
-            if parent == os.getpid() and b'spawn_main' in (folder / 'cmdline').read_bytes():
-                found.append(int(folder.name))
-        except OSError:
-            continue  # it has ended
-    return found
-
-
 def test_a_recording_counts_once_under_any_name(settings, tmp_path):
     """As it is, as the file in it, and as a copy."""
     whole = Path(settings['bags'][1])

@@ -67,11 +67,6 @@ def posed(own, cup=TRUTH, free=None, **more):
     return Problem.of([Segment.of(own)], AXISYMMETRIC, cup, free or {}, **more)
 
 
-def segment_of(problem):
-    """Return the segment of the only recording."""
-    return problem.held.pool.results(tuple, problem.held)[0][0]
-
-
 def z_of(fit):
     """Return the errors (8,) in standard errors, 0 where it is not identifiable."""
     return (fit.parameters - NUMBERS) / np.sqrt(np.diag(fit.covariance))
