@@ -16,12 +16,6 @@ from scipy.spatial.transform import Rotation
 WITHOUT_EXAMPLE = {'BellowsError', 'Prediction'}  # what others raise and return
 
 
-@pytest.fixture
-def soon(monkeypatch):
-    """Let the search for a motion end soon; how good it is, is tested with it."""
-
-
-@pytest.mark.usefixtures('soon')
 @pytest.mark.parametrize('name', bellows_ros.__all__)
 def test_examples_print_what_they_show(root, tmp_path, monkeypatch, name):
     """Run the examples of every public name, as a user at the top of a checkout would."""
@@ -140,7 +134,6 @@ def test_rubber_is_identified_as_by_the_command(root):
 TOSSING = 'bags/tossing.yaml'
 
 
-@pytest.mark.usefixtures('soon')
 @pytest.mark.parametrize('make', [
     lambda: bellows_ros.plan('bags/transport.yaml', TOSSING),
     lambda: bellows_ros.steer('bags/transport.yaml', TOSSING, 'zvd'),

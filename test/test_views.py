@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 import pytest
 from ruamel.yaml import YAML
 
-DISPLAYS = ('Grid', 'Pose', 'MarkerArray', 'Path')  # of the plugins that come with RViz
-
 
 def topics_of(content):
     """Return all topics in a layout."""
@@ -59,16 +57,3 @@ def test_every_plot_of_the_foxglove_layout_is_of_fields_that_messages_have(root,
             topic, *fields = path['value'].split('.')
             assert isinstance(number(topic, fields), float), name
             assert path['timestampMethod'] == 'headerStamp' and path['enabled']
-
-
-def test_every_display_of_rviz_has_a_class_and_a_topic(root):
-    """Give each display what RViz asks for, with policies as RViz spells them."""
-    content = YAML(typ='safe').load((root / 'config' / 'predictor.rviz').read_text())
-    for display in content['Visualization Manager']['Displays']:
-        assert display['Class'] in {f'rviz_default_plugins/{name}' for name in DISPLAYS}
-        assert display['Enabled'] and display['Value']
-        if display['Name'] != 'Grid':
-            topic = display['Topic']
-            assert topic['Reliability Policy'] in ('Best Effort', 'Reliable')
-            assert topic['Durability Policy'] in ('Volatile', 'Transient Local')
-            assert (topic['History Policy'], topic['Depth'] > 0) == ('Keep Last', True)

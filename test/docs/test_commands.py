@@ -132,44 +132,6 @@ def check_node(rest):
             assert name in PARAMETERS or name.startswith(('qos_overrides.', 'use_sim_time')), value
 
 
-def test_pages_are_found_and_hold_commands():
-    """Look at the README first, and at more than that."""
-    assert next(iter(ALL)) == 'README.md'
-    assert len(runnable()) >= 2
-
-
-@pytest.mark.parametrize(
-    ('shown', 'printed', 'same'),
-    [
-        ('K 5395 ± 11 N/m', 'K  5401.5 ± 9 N/m', True),
-        ('Wrote cup.yaml.', 'Wrote fit.json.', False),
-        ('first\n...\nlast 3', 'first\nsecond\nthird\nlast 4', True),
-        ('first\n...\nlast', 'second\nlast', False),
-        ('1e-3 s', '2.5e+4 s', True),
-    ],
-)
-def test_outputs_are_compared_but_for_numbers(shown, printed, same):
-    """Let numbers and blanks differ, and nothing else."""
-    assert PAGES.matches(shown, printed) is same
-
-
-def test_blocks_are_found_with_their_marks():
-    """Let a mark hold for the block that follows at once, and for no other."""
-    text = (
-        'Words\n\n<!-- test: parse, a robot -->\n```bash\none \\\n  more\n# no command\ntwo\n```\n'
-        '```yaml\n$ none\n```\n```console\n$ three\nout\n\n$ four\n```\n')
-    first, second = PAGES.blocks(text)
-    assert (first.mode, [c.text for c in first.commands]) == ('parse', ['one \\\n  more', 'two'])
-    assert second.mode == 'run'
-    assert [(c.text, c.output) for c in second.commands] == [('three', 'out\n'), ('four', '')]
-
-
-def test_blocks_with_pip_or_ros_are_only_parsed():
-    """Leave pip and ROS alone on pages that forget to say so."""
-    text = '```bash\nbellows --help\npip install x\n```\n```bash\nros2 topic list\n```\n'
-    assert [block.mode for block in PAGES.blocks(text)] == ['parse', 'parse']
-
-
 def test_parameter_files_on_the_pages_are_right(tmp_path):
     """Read every YAML block with parameters as a node would."""
     from bellows_ros.files.parameter_files import read_parameters

@@ -44,14 +44,6 @@ def test_the_sample_plans_are_steered_within_the_sample_limits(root, plan):
     assert demands(quicker.tool)['speed'] > limits.rates['speed']
 
 
-def test_zvd_is_blamed_only_where_it_was_asked_for(root):
-    """Say of zv what it leaves, and nothing of zvd."""
-    found = steer_plan(root / 'bags/transport.yaml', read_parameters(root / 'bags/tossing.yaml'),
-                       'zv')
-    said = ' '.join(found.notes)
-    assert 'zv shapes 1 mode and leaves' in said and 'zvd' not in said
-
-
 def write_request(start, names, path, by=0.0):
     """Write 0.8 s of a motion of all joints at 100 Hz as YAML, from rest to rest."""
     t = np.linspace(0.0, 1.0, 81)

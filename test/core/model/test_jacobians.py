@@ -30,6 +30,16 @@ class Case:
         self.body = T[:3, 3], T[:3, :3], rng.standard_normal(6)
 
 
+def six_by_six(square):
+    a, b, c, d = (np.reshape(block, (3, 3)) for block in square)
+    return np.block([[a, b], [c, d]])
+
+
+def near(actual, expected, part):
+    """Compare two matrices, relative to the largest of the second."""
+    assert_allclose(actual, expected, rtol=0, atol=part * np.abs(expected).max())
+
+
 def test_some_of_the_parameters_stand_where_they_are_asked_for():
     case = Case(3)
     rows = case.model, state_of(*case.tool), state_of(*case.body)

@@ -2,7 +2,7 @@
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.signals.resampling import at_sampling, in_bursts, resample, timing
+from bellows_ros.core.signals.resampling import at_sampling, resample, timing
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -134,10 +134,3 @@ def test_true_stamps_and_bodies_at_rest_are_left_alone(speed, arrives):
     found, arrivals = at_sampling(stream)
     assert arrivals is None
     assert found is stream
-
-
-@pytest.mark.parametrize('many', [2, 5, 50])
-def test_stamps_on_arrival_of_messages_in_a_row_are_bursts(many):
-    number = np.arange(20_000)
-    arrival = (number // many * many + many - 1) * 5_000_000 + 200_000 * (number % many)
-    assert in_bursts(arrival, timing(arrival))

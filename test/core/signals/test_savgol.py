@@ -1,6 +1,5 @@
 """The filter against polynomials, a slow reference, and the synthetic motions of the thesis."""
 
-from fractions import Fraction
 from math import factorial, pi
 
 from bellows_ros.core.geometry import lie
@@ -30,31 +29,6 @@ def noisy_motion(count=120, seed=0):
     position = np.sin(t * [3.0, 7.0, 11.0]) + 1e-3 * rng.normal(size=(count, 3))
     phi = 2.0 * np.cos(t * [11.0, 5.0, 8.0]) + 0.02 * rng.normal(size=(count, 3))
     return trajectory_of(position, lie.exp_so3(phi))
-
-
-@pytest.mark.parametrize('half_window, order', [(1, 2), (3, 2), (5, 4), (15, 3), (25, 4), (30, 7)])
-def test_weights_are_the_exact_rational_ones(half_window, order):
-    result = weights(half_window, order, 1.0)
-    for row, expected in zip(result, rational_weights(half_window, order), strict=True):
-        assert_allclose(row, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
-
-
-def rational_weights(half_window, order):
-    """Solve the normal equations of the fit in whole samples by elimination, without rounding."""
-    times, size = range(-half_window, half_window + 1), order + 1
-    rows = [
-        [Fraction(sum(t ** (i + j) for t in times)) for j in range(size)]
-        + [Fraction(i == derivative) for derivative in range(3)] for i in range(size)]
-    for i in range(size):
-        pivot = rows[i][i]  # positive, as the matrix is positive definite
-        rows[i] = [value / pivot for value in rows[i]]
-        for k in set(range(size)) - {i}:
-            factor = rows[k][i]
-            rows[k] = [a - factor * b for a, b in zip(rows[k], rows[i], strict=True)]
-    return np.array([
-        [float(factorial(d) * sum(row[size + d] * t**i for i, row in enumerate(rows)))
-         for t in times]
-        for d in range(3)])
 
 
 def slow_reference(trajectory, half_window, order):
