@@ -220,7 +220,7 @@ def command(
 
 
 @command(
-    source('bag'), FROM, TO, output('--write-params', help=(
+    source('bag'), PARAMS, SET, FROM, TO, output('--write-params', help=(
         'write a parameter file for this recording, for bellows identify and the nodes')),
     FORCE, JSON)
 def info(arguments: Any, console: 'Console') -> Outcome:
@@ -243,7 +243,7 @@ def info(arguments: Any, console: 'Console') -> Outcome:
 
     require_absent(arguments.write_params, arguments.force)
     console.progress(f'reading {arguments.bag}')
-    result = workflow.info(arguments.bag, interval_settings(arguments))
+    result = workflow.info(arguments.bag, read_settings(arguments))
     if arguments.write_params:
         write_text(arguments.write_params, cell_file(result))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''

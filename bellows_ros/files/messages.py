@@ -53,6 +53,7 @@ TRANSFORM = 'geometry_msgs/msg/TransformStamped'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+IMAGE = 'sensor_msgs/msg/Image'
 
 _STAMP_AT, _STRINGS_AT = 4, 12
 _MAX_PADDING = 3  # at the end, to a multiple of four

@@ -41,7 +41,7 @@ from bellows_ros.files.detections import read_contents
 from bellows_ros.files.messages import DETECTIONS, TRANSFORMS
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
-from bellows_ros.workflows.recordings import within_interval
+from bellows_ros.workflows.recordings import tag_sought, within_interval
 import numpy as np
 
 MIN_HOLD = 4.0
@@ -234,7 +234,7 @@ class Info(NamedTuple):
                        for topic in self.topics]})
 
 
-def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
+def info(path: File, given: Mapping[str, Any] = MappingProxyType({})) -> Info:
     """
     Describe a recording and propose settings for reading it.
 
@@ -242,8 +242,8 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
     ----------
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
-    span : mapping
-        Parameters 'recording.start' and 'recording.end', s, for a part.
+    given : mapping
+        Parameters, such as 'recording.start' and 'measured.tag_id'; they replace proposed ones.
 
     Raises
     ------
@@ -256,9 +256,10 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
         f'{topic.name} {kind}': topic.name for topic in counts if topic.messages
         for kind in KINDS if topic.type_name in (
             *accepted_types(kind), *[DETECTIONS] * (kind == 'pose'))}
-    contents = read_contents(path, wanted) if wanted else Contents({}, {})
+    tag = tag_sought(checks.resolve(given))
+    contents = read_contents(path, wanted, tag) if wanted else Contents({}, {})
     problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
-    streams = {role: stream for role, stream in within_interval(contents.streams, span).items()
+    streams = {role: stream for role, stream in within_interval(contents.streams, given).items()
                if len(stream)}
     start_ns = min((int(s.stamps_ns[0]) for s in streams.values()), default=0)
     described = tuple(_describe_topic(topic, streams, problems, start_ns) for topic in counts)
@@ -267,8 +268,9 @@ def info(path: File, span: Mapping[str, Any] = MappingProxyType({})) -> Info:
               and role.endswith('twist') and len(s) > 2}
     has_only_tf = len(poses) < 2 and any(
         topic.type_name == TRANSFORMS and topic.messages for topic in counts)
-    return _with_roles(path, described, poses, twists, span,
-                       [Finding('only_transforms')] if has_only_tf else [])
+    found = _with_roles(path, described, poses, twists,
+                        [Finding('only_transforms')] if has_only_tf else [])
+    return found._replace(settings={**found.settings, **given, 'bags': found.settings['bags']})
 
 
 def _describe_topic(
@@ -315,7 +317,7 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
 
 def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
-    twists: Mapping[str, TwistStream], span: Mapping[str, Any], findings: list[Finding]
+    twists: Mapping[str, TwistStream], findings: list[Finding]
 ) -> Info:
     """Return the recording with roles, settings and findings."""
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
@@ -323,7 +325,7 @@ def _with_roles(
     tool, package = (pair.tool, pair.package) if pair else _roles_by_name(poses)
     twist, in_degrees = _twist_of(poses[tool.topic], twists) if tool else (None, False)
     settings: dict[str, Any] = {
-        'bags': (os.fspath(path),), **span,
+        'bags': (os.fspath(path),),
         **{f'topics.{role}': guess.topic for role, guess in
            (('tool_pose', tool), ('package_pose', package)) if guess},
         **({'topics.tool_twist': ''} if twist is None or in_degrees else

@@ -7,6 +7,7 @@ from bellows_ros.files.parameter_files import read_parameters
 import pytest
 
 from .conftest import KNOWN
+from ..files.test_detections import calibration, detections, recorded, views
 
 
 def test_it_says_the_noise_and_which_axis_is_up(bellows, root):
@@ -42,6 +43,18 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(
                    tmp_path / 'cup.yaml', cwd=workshop)
     assert read_parameters(tmp_path / 'cup.yaml')['cup.length'] == 0.046
     assert read_parameters(file)['topics.tool_pose'] == '/tool_arm/pose'
+
+
+def test_a_parameter_of_its_advice_may_be_set(bellows, succeed, tmp_path):
+    """Ask for the number of one of two tags, take it, and write it into the file."""
+    path, file = tmp_path / 'b', tmp_path / 'cell.yaml'
+    recorded(path, detections(views()[2] * 900.0 + 600.0, (3, 7)), calibration('plumb_bob', ()))
+    assert '/detections cannot be used' in bellows('info', path).stdout
+    (tmp_path / 'size.yaml').write_text('measured.tag_size: 0.06')
+    done = succeed('info', path, '--params', tmp_path / 'size.yaml', '--set', 'measured.tag_id=7',
+                   '--write-params', file)
+    assert 'cannot be used' not in done.stdout
+    assert read_parameters(file)['measured.tag_id'] == 7
 
 
 def test_a_part_of_a_recording_is_looked_at(succeed, workshop, tmp_path):
