@@ -476,16 +476,16 @@ class LivePredictor:
             self._follow_cycle(before, stamp_ns)
         self._note_alarms()
 
-    def on_pressure(self, pressure: float, frame_id: str, stamp_ns: int | None = None) -> str:
+    def on_pressure(self, pressure: float, frame_id: str) -> str:
         """Process a pressure (Pa) of all cups or of one; return the reason of rejection, or ''."""
         opened = self.vacuum.open_cups
         readings = self.vacuum.update(self._given, pressure, frame_id)
         if isinstance(readings, str):
             if self.vacuum.fault:
-                self.on_vacuum(False, stamp_ns)
+                self.on_vacuum(False)
             return readings
         for is_held, cup in readings:
-            self.on_vacuum(is_held, stamp_ns, cup)
+            self.on_vacuum(is_held, cup=cup)
         if self.load is not None and self.vacuum.pressure is not None:
             self.load.set_pressure(self.vacuum.pressure, self.vacuum.of_cups)
         if self.vacuum.open_cups != opened:

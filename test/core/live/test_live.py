@@ -7,6 +7,7 @@ from bellows_ros.core.live import LivePredictor, tool_twist
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.observer.observer import Observer
+from bellows_ros.core.observer.states import CAMERA, STATE
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 import pytest
@@ -142,7 +143,8 @@ def test_what_an_observer_has_learned_outlasts_a_divergence(messages, predictor)
             predictor.on_measured(
                 messages.stamps[k], 'base', tuple(np.add(out.position, 0.002)),
                 out.quaternion_xyzw)
-        shifts.append(observer.calibration.shift)
+        if (estimate := observer.estimate) is not None:
+            shifts.append(estimate.theta[CAMERA - STATE:][:3])
     assert predictor.restarts['diverged'] > 0
     np.testing.assert_allclose(shifts[-1], shifts[299], atol=2e-4)
     assert np.abs(shifts[-1]).max() > 2e-4
