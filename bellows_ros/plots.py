@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.live.load import equivalent_box
+from bellows_ros.core.live.vacuum import equivalent_box
 from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample

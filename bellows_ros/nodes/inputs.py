@@ -29,7 +29,7 @@ from .outputs import Predicting, QUEUE, Topic
 from ..core.findings import Finding, Level
 from ..core.geometry import lie
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import load
+from ..core.live import vacuum
 from ..core.observer.observer import Observer, VERDICTS
 from ..core.sensors.camera import TagCamera
 from ..core.signals import transforms
@@ -228,7 +228,7 @@ class Attachment:
                 ('detach', False, 'Detached: nothing is predicted.')):
             node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
         self._refused = dict.fromkeys((
-            'nan', 'gauge', 'not_absolute', *(unit for unit, *_ in load.AMBIENT_IN),
+            'nan', 'gauge', 'not_absolute', *(unit for unit, *_ in vacuum.AMBIENT_IN),
             'no_such_cup'), 0)
         self.signal = None if self._kind == 'none' else SensorInput(node, *{
             'bool': (Bool, 'vacuum/held', self._on_held),

@@ -23,7 +23,7 @@ from .conversions import odometry
 from .guarding import LATCHED
 from .node_parameters import ManagedNode
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
-from ..core.live import LivePredictor, load, Prediction, uncertainty
+from ..core.live import LivePredictor, Prediction, uncertainty, vacuum
 from ..core.live.landing import Landing
 from ..core.model import kernels
 from ..core.parameters.values import Values
@@ -56,7 +56,7 @@ class Predicting:
         return self.live.values
 
     @property
-    def load(self) -> load.Load:
+    def load(self) -> vacuum.Load:
         """Safety factor of the grip, and distance from the validity range."""
         assert self.live.load
         return self.live.load
@@ -238,7 +238,7 @@ class Outputs:
         frame_id = self._shared.values.frames.lip + '_nominal'
         return pack(
             messages.POSE, (frame_id,), now.stamp_ns,
-            *load.deflection(self._shared.live.model, now)[0], *load.deflection_rotation(now))
+            *vacuum.deflection(self._shared.live.model, now)[0], *vacuum.deflection_rotation(now))
 
     def publish(self, prediction: Prediction) -> None:
         """
@@ -300,7 +300,7 @@ class Markers:
     """Markers that are updated for each frame."""
 
     def __init__(self, values: Values) -> None:
-        self._box = marker(0, Marker.CUBE, load.equivalent_box(values))
+        self._box = marker(0, Marker.CUBE, vacuum.equivalent_box(values))
         self._cup = marker(1, Marker.LINE_LIST, (0.04, 0.0, 0.0))
         self._places: list[Vector] = [
             (x, y, z) for x, y, z in conversion.places_of(values)[:, :3].tolist()]
@@ -315,7 +315,7 @@ class Markers:
     def fill(self, frame: str, model: kernels.ModelTuple, prediction: Prediction) -> MarkerArray:
         """Return the markers of a prediction; grey while the tool is extrapolated."""
         self._last_ns = prediction.stamp_ns
-        lip = load.lip_position(model, prediction)
+        lip = vacuum.lip_position(model, prediction)
         R_world_package = rotation_matrix(prediction.quaternion_xyzw)
         tip = add_scaled(lip, 0.005, apply(R_world_package, prediction.force))  # m/N
         self._box.pose = Pose(

@@ -24,7 +24,7 @@ from .node_parameters import ManagedNode, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
 from ..core.findings import Level
 from ..core.geometry.jit import COMPILED, NOT_COMPILED
-from ..core.live.load import check_live
+from ..core.live.vacuum import check_live
 from ..core.parameters import checks
 from ..core.parameters.conversion import grip_of
 from ..errors import BellowsError, MAX_MESSAGE, shown

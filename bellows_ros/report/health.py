@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.live.load import Load
 from bellows_ros.core.live.predictor import LivePredictor
+from bellows_ros.core.live.vacuum import Load
 from bellows_ros.core.model.validity_range import FLAT_MOMENT_BENDING
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S

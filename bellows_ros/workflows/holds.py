@@ -7,7 +7,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.core.live.cycle import holds, Signal
-from bellows_ros.core.live.load import ALL, Vacuum
+from bellows_ros.core.live.vacuum import ALL, Vacuum
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import world_rotation
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream

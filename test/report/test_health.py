@@ -2,8 +2,8 @@
 
 import math
 
-from bellows_ros.core.live import load as loads
-from bellows_ros.core.live.load import Load
+from bellows_ros.core.live import vacuum
+from bellows_ros.core.live.vacuum import Load
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.report import health
 from bellows_ros.report.health import fact, InputReport, Level, quantiles
@@ -45,7 +45,7 @@ def of_prediction(**changes):
 
 def of_load(factor, bending):
     load = Load(resolve({'cup.lip_radius': 0.02, 'vacuum.holding': 6e4 if factor else 0.0}))
-    load.reset = lambda: (factor and loads.Safety(factor, 'peel'), None, bending)
+    load.reset = lambda: (factor and vacuum.Safety(factor, 'peel'), None, bending)
     return health.load_status('x', load)
 
 

@@ -18,10 +18,10 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED, Signal
-from bellows_ros.core.live.load import ALL, check_live, Load, Vacuum
-from bellows_ros.core.live.payload import LivePayload, stated_payload
+from bellows_ros.core.live.held_package import HeldPackage, stated_payload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
 from bellows_ros.core.live.uncertainty import Prediction, Uncertainty
+from bellows_ros.core.live.vacuum import ALL, check_live, Load, Vacuum
 from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
@@ -127,7 +127,7 @@ class LivePredictor:
         Poses that wait for their twists.
     tool : ToolMotion
         Pose and twist of the tool, and the check of its twists.
-    package : LivePayload
+    package : HeldPackage
         State of the package, and the observer that corrects it, if any.
     arrivals : ToolArrivals
         Arrivals of accepted poses.
@@ -161,7 +161,7 @@ class LivePredictor:
         self._screen, self._twist_frame = Screen(), Frame()
         self.pairing, self.arrivals = Pairing(), ToolArrivals()
         self.tool = ToolMotion(twist_frame == 'world')
-        self.package = LivePayload(cup, package, gravity)
+        self.package = HeldPackage(cup, package, gravity)
         self.coast_limit_ns = coast_limit_ns
         self._counts = dict.fromkeys(REFUSALS, 0)
         self.restarts = dict.fromkeys(RESTARTS, 0)

@@ -4,9 +4,9 @@ from functools import partial
 import math
 
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live import load as loads
-from bellows_ros.core.live.load import ALL, Load, Vacuum
+from bellows_ros.core.live import vacuum
 from bellows_ros.core.live.uncertainty import Prediction
+from bellows_ros.core.live.vacuum import ALL, Load, Vacuum
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
@@ -29,7 +29,7 @@ def test_pressure_switch_has_hysteresis():
     assert held == [((each, ALL),) for each in (False, False, True, True, True, False, False)]
     assert update(math.nan, '') == 'nan'
     with pytest.raises(BellowsError):
-        loads.check_live(Values({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0}))
+        vacuum.check_live(Values({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0}))
 
 
 def test_vacuum_of_each_cup():
@@ -57,9 +57,9 @@ MODEL = model_tuple(Cup.thesis(), Package(2.0, np.diag([0.01, 0.02, 0.025]), (0,
 
 
 def test_deflection_is_that_of_the_lip():
-    shift, *_ = loads.deflection(MODEL, prediction())
+    shift, *_ = vacuum.deflection(MODEL, prediction())
     assert_allclose(shift, (0.0, 0.0, 0.0481 - 0.05), atol=1e-15)
-    assert_allclose(loads.lip_position(MODEL, prediction()), (0.0, 0.0, -0.05), atol=1e-15)
+    assert_allclose(vacuum.lip_position(MODEL, prediction()), (0.0, 0.0, -0.05), atol=1e-15)
 
 
 def test_smallest_margin_and_largest_distance_are_kept():
@@ -88,7 +88,7 @@ def test_box_of_an_inertia_is_the_box():
     inertia = box_inertia(3.0, 0.2, 0.3, 0.1)
     values = Values({
         'package.mass': 3.0, 'package.inertia': (*np.diag(inertia), 0.0, 0.0, 0.0)})
-    assert_allclose(loads.equivalent_box(values), (0.2, 0.3, 0.1))
+    assert_allclose(vacuum.equivalent_box(values), (0.2, 0.3, 0.1))
 
 
 def test_the_safety_factor_follows_the_measured_vacuum():

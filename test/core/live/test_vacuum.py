@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros import LivePredictor
-from bellows_ros.core.live.load import Vacuum
+from bellows_ros.core.live.vacuum import Vacuum
 import pytest
 
 from .test_cycle import MS, START, UPRIGHT, VALUES

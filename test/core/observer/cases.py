@@ -1,6 +1,6 @@
 """A package with known true motion, a tool with noisy poses, and a camera."""
 
-from bellows_ros.core.live.payload import prepared
+from bellows_ros.core.live.held_package import prepared
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import (
     largest_step,

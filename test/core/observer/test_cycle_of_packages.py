@@ -1,6 +1,6 @@
 """Contact with a support, and what must not outlive a package or a camera's mistake."""
 
-from bellows_ros.core.live.payload import prepared
+from bellows_ros.core.live.held_package import prepared
 from bellows_ros.core.model.kernels import ORIGIN
 from bellows_ros.core.observer import states
 from bellows_ros.core.observer.states import CAMERA_ROWS, KNOWN_ROWS, ROWS_WITHOUT_SENSOR

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
-from bellows_ros.core.live.payload import LivePayload
+from bellows_ros.core.live.held_package import HeldPackage
 from bellows_ros.core.live.uncertainty import Prediction, STILL
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
@@ -303,7 +303,7 @@ def check_live(values: Values) -> None:
             'tag, in m.')
     conversion.release_law_of(values)  # a contradiction would only show at the first release
     cup, package = conversion.cup_of(values), conversion.package_of(values)
-    payload = LivePayload(cup, package, conversion.gravity_of(values))
+    payload = HeldPackage(cup, package, conversion.gravity_of(values))
     model = payload.model
     load = Load(values, AMBIENT)  # compiled also before a vacuum is measured
     try:

@@ -105,7 +105,7 @@ class Sample(NamedTuple):
     body: State
 
 
-class LivePayload:
+class HeldPackage:
     """
     A package on a cup, and its newest tool sample.
 
