@@ -1,7 +1,6 @@
 """Every measurement runs in its short form, its figures come into the page, and they are right."""
 
 import ast
-from functools import partial
 import json
 from pathlib import Path
 
@@ -9,10 +8,9 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
-from benchmarks import many, offline, real_cup, startup, step, timing
+from benchmarks import many, offline, real_cup, startup, step
 from benchmarks.sensors import CELLS, JUDGED, trial
 from benchmarks.tables import markdown, MEBI, tables
 import numpy as np
@@ -88,30 +86,6 @@ def test_scripts_of_other_processes_import_what_is_there(code):
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.Import | ast.ImportFrom):
             exec(ast.unparse(node), {})
-
-
-def test_interleaved_takes_turns():
-    order = []
-    found = timing.interleaved({name: partial(order.append, name) for name in 'ab'}, 2)
-    assert order == ['a', 'b', 'a', 'b', 'a', 'b']
-    assert found['a']['runs'] == 2
-
-
-def test_a_failed_measurement_is_reported():
-    with pytest.raises(BellowsError, match='boom'):
-        timing.in_process('raise SystemExit("boom")')
-
-
-def test_table_of_nodes_has_the_bare_node_and_the_predictor_with_lost_poses():
-    def run(node, rate, times, lost=0):
-        return {'node': node, 'rate_hz': rate, 'p50': 4e-4 * times, 'p99': 1e-3 * times,
-                'p99.9': 1e-2, 'memory': 2**20, 'processor_per_pose': 3e-4 * times, 'sent': 10,
-                'lost': lost}
-
-    runs = [run('bare', 125, 2.0), run('predictor', 125, 1.0, 3), run('bare, bytes', 125, 1.0)]
-    _, *rows = tables({'node': {'runs': runs}})['node']
-    assert [(row[0], row[1], row[-1]) for row in rows] == [
-        ('bare, 125 Hz', '800 us', '0 of 10'), ('predictor, 125 Hz', '400 us', '3 of 10')]
 
 
 @pytest.mark.parametrize(('sensors', 'seed', 'seconds', 'structure'), [

@@ -212,8 +212,8 @@ def breaking(stamps, at_ns, bad=False):
     return Encoded('/cell/vacuum/pressure', kind, stamps, data)
 
 
-def test_dropped_package_raises_the_alarm_lost(filmed, tmp_path):
-    """By its camera until it is 0.5 m below, sooner with the vacuum; no other cause is named."""
+def test_the_recorded_vacuum_shows_a_lost_package(filmed, tmp_path):
+    """Sooner than the camera; a pressure that is none is refused."""
     bag, values = filmed
     streams = read_streams(bag, SEEN)
     at_ns, recorded = int(streams['tool'].stamps_ns[0]) + 5_000_000_000, []
@@ -223,18 +223,11 @@ def test_dropped_package_raises_the_alarm_lost(filmed, tmp_path):
         seen = own.stamps_ns < at_ns + (320_000_000 if falls else 10**15)
         recorded.append(poses(role, own.stamps_ns[seen], position[seen], own.rotation[seen]))
     values = values.replaced({'topics.tool_twist': '', 'recording.start': 3.0})
-    write_bag(tmp_path / 'dropped', recorded)
-    found = replay(tmp_path / 'dropped', values, observe=CAMERA)
-    (seconds, alarm), = found.observed.alarms
-    assert (alarm.kind, alarm.shown_by) == ('lost', 'poses')
-    assert 2.0 < seconds < 2.3
-    assert f'The package is lost {seconds:.2f} s after' in found.warnings[0]
-    assert not any('package.mass' in warning for warning in found.warnings)
     pressures = streams['tool'].stamps_ns[::20]
     values = values.replaced({'vacuum.signal': 'pressure'})
     write_bag(tmp_path / 'heard', [*recorded, breaking(pressures, at_ns)])
-    (seconds, alarm), = replay(
-        tmp_path / 'heard', values, observe=CAMERA).observed.alarms
+    found = replay(tmp_path / 'heard', values, observe=CAMERA)
+    (seconds, alarm), = found.observed.alarms
     assert (alarm.kind, alarm.shown_by) == ('lost', 'vacuum')
     assert 2.0 <= seconds < 2.06
     write_bag(tmp_path / 'deaf', [*recorded, breaking(pressures, at_ns, bad=True)])

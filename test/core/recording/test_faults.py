@@ -1,8 +1,6 @@
 """Each fault of the poses or stamps is seen without a fit, and none in sound ones."""
 
 from dataclasses import replace
-import subprocess
-import sys
 
 from bellows_ros.core.findings import Level
 from bellows_ros.core.geometry import lie
@@ -14,7 +12,6 @@ from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.trajectory import PoseStream
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.recordings import load
 from benchmarks.offline import make_recording
@@ -228,15 +225,3 @@ def test_a_clock_step_without_arrivals_is_found_by_half_of_the_motions(seeds):
         assert not sound
         named.append(named_now)
     assert np.mean(named) >= 0.5
-
-
-@pytest.mark.parametrize(('name', 'said'), [
-    ('clock_step', r"'/package/pose' steps by -0\.3.* s at 13"),
-    ('bodies_swapped', r'exchanged, .* from 12\.\d+ s to 1[23]\.')])
-def test_reported_faults_stop_a_fit_before_any_physical_cause(root, tmp_path, name, said):
-    make = root.parent / 'shared/reports/make.py'
-    if not make.exists():
-        pytest.skip('no ../shared')
-    subprocess.run([sys.executable, make, root, tmp_path, name], check=True)
-    with pytest.raises(BellowsError, match=said):
-        load(tmp_path / name, resolve(read_parameters(root / 'bags/package.yaml'), ()))
