@@ -14,7 +14,7 @@ import time
 from typing import Any
 
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.files.messages import DETECTIONS, LAYOUTS, TRANSFORMS
+from bellows_ros.files.messages import DETECTIONS, LAYOUTS, LIP_FRAME, TRANSFORMS
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -430,11 +430,11 @@ class Observing:
         payload = self._observer.payload if self._observer else None
         if payload is None or payload.stamp_ns == self._published_ns:
             return
-        self._published_ns, frame_id = payload.stamp_ns, self._pipeline.values.frames.lip
+        self._published_ns = payload.stamp_ns
         for topic, make in ((self._std, conversions.payload_std_message),
                             (self._estimated, conversions.payload_message)):
             if topic.subscribed:
-                topic.publish(make(frame_id, payload))
+                topic.publish(make(LIP_FRAME, payload))
 
     def log_alarms(self) -> None:
         """Log the alarms since the last call."""

@@ -184,9 +184,9 @@ class Outputs:
         self.use_values()
         self.pose = Topic(geometry.PoseStamped, 'package/pose', self._make_pose)
         self._twist = Topic(geometry.TwistStamped, 'package/twist', lambda now: pack(
-            messages.TWIST, self._frame('package'), now.stamp_ns, *now.linear, *now.angular))
+            messages.TWIST, self._package_frame(), now.stamp_ns, *now.linear, *now.angular))
         self._wrench = Topic(geometry.WrenchStamped, 'cup/wrench', lambda now: pack(
-            messages.WRENCH, self._frame('lip'), now.stamp_ns, *now.force, *now.moment))
+            messages.WRENCH, (messages.LIP_FRAME,), now.stamp_ns, *now.force, *now.moment))
         self._safety = Topic(geometry.Vector3Stamped, 'cup/safety_factor')
         self._odometry = Topic(
             Odometry, 'package/odometry', self._make_odometry, prepare=shared.compile_filter)
@@ -204,7 +204,7 @@ class Outputs:
             from tf2_msgs.msg import TFMessage
 
             self._tf = Topic(TFMessage, '/tf', lambda now: pack(
-                messages.TRANSFORMS, (shared.live.frame_id, *self._frame('package')),
+                messages.TRANSFORMS, (shared.live.frame_id, *self._package_frame()),
                 now.stamp_ns, *now.position, *now.quaternion_xyzw))
         for part in list(vars(self).values()):
             if isinstance(part, Topic):
@@ -218,9 +218,9 @@ class Outputs:
         """Continue with another cup or package."""
         self._picture = Markers(self._shared.values)
 
-    def _frame(self, name: str) -> tuple[str]:
-        """Return the frame of the package or the lip."""
-        return (self._shared.values[f'frames.{name}'],)
+    def _package_frame(self) -> tuple[str]:
+        """Return the frame of the package."""
+        return (self._shared.values.frames.package,)
 
     def _make_pose(self, now: Prediction) -> bytes:
         """Return the pose of the package in the frame of the tool's poses."""
@@ -231,13 +231,12 @@ class Outputs:
         """Return pose and twist, with large covariance while it is unknown."""
         is_known = now is not uncertainty.STILL and self._odometry.is_ready
         root = self._shared.uncertainty.root(now) if is_known else uncertainty.UNKNOWN_ROOT
-        return odometry(self._shared.live.frame_id, *self._frame('package'), now, root)
+        return odometry(self._shared.live.frame_id, *self._package_frame(), now, root)
 
     def _make_deflection(self, now: Prediction) -> bytes:
         """Return the lip relative to its place without load."""
-        frame_id = self._shared.values.frames.lip + '_nominal'
         return pack(
-            messages.POSE, (frame_id,), now.stamp_ns,
+            messages.POSE, (f'{messages.LIP_FRAME}_nominal',), now.stamp_ns,
             *vacuum.deflection(self._shared.live.model, now)[0], *vacuum.deflection_rotation(now))
 
     def publish(self, prediction: Prediction) -> None:
@@ -264,7 +263,7 @@ class Outputs:
             self._wrench.send(prediction)
             if factors and self._safety.subscribed:
                 self._safety.publish(pack(
-                    messages.VECTOR, self._frame('lip'), prediction.stamp_ns,
+                    messages.VECTOR, (messages.LIP_FRAME,), prediction.stamp_ns,
                     # many plots cannot show infinity
                     *(min(factor, 1000.0) for factor in (*factors, min(factors)))))
         if self._is_late:

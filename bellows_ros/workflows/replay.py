@@ -606,7 +606,7 @@ def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
     in_model: dict[str, Any] = {
         'tool_pose.offset': '', 'gravity.direction': (0.0, 0.0, -1.0)}
     if not signals:
-        in_model |= {'vacuum.signal': 'none', 'package.attached': True}
+        in_model['vacuum.signal'] = 'none'
     return LivePredictor.from_parameters(values.replaced(in_model))
 
 

@@ -213,7 +213,7 @@ class LivePredictor:
             cup_of(values), package_of(values), gravity_of(values),
             'tool' if values.tool_pose.type == 'odometry' else values.tool_twist.frame)
         predictor.tool.set_tip(tip_of(values))
-        is_held = bool(values.package.attached) and values.vacuum.signal == 'none'
+        is_held = values.vacuum.signal == 'none'
         predictor.attached, predictor._cycle = is_held, Cycle(is_held)
         predictor.use(values)
         return predictor

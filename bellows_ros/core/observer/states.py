@@ -23,6 +23,7 @@ from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.structure import composition, UPPER
 from bellows_ros.core.parameters.conversion import places_of, stated_std, stiffness_std
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.sensors.wrench import GAIN_STD
 from bellows_ros.errors import BellowsError
 import numpy as np
 
@@ -235,7 +236,7 @@ def stated_by(values: Values, model: ModelTuple) -> Stated:
         mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
         relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
         camera, values.measured.latency_std, np.repeat(values.wrench.bias_std, 3),
-        np.repeat(values.wrench.drift, 3), values.wrench.gain_std)
+        np.repeat(values.wrench.drift, 3), GAIN_STD)
 
 
 def _of_moments(inertia: Array, std: Array) -> Array:

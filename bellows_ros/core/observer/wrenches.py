@@ -7,7 +7,7 @@ begin of the block is the mean of H(t) T(t), with the transition T. The estimate
 the block is corrected, and propagated again.
 
 Bias and gain are states. Crosstalk, hysteresis and errors of the gripper are proportional to the
-wrench, `wrench.gain_std` of force and moment in each axis, and persist over many blocks: the
+wrench, `GAIN_STD` of force and moment in each axis, and persist over many blocks: the
 variance of these errors is multiplied by `PERSISTENCE`, so that they do not average out too fast.
 Factors of the variances are learned from the innovations. Wrenches leave the estimates of K and P,
 whose errors the covariance includes (Schmidt-Kalman): errors of the spring law would change K and
@@ -36,6 +36,7 @@ from bellows_ros.core.observer.states import COM, DAMPING, MARKER, ROWS, STATE, 
 from bellows_ros.core.sensors.set_up import COS_MIN_TILT, fault_of, Still
 from bellows_ros.core.sensors.wrench import (
     cup_load,
+    GAIN_STD,
     gripper_regressors,
     Mount,
     WrenchSensor,
@@ -220,7 +221,7 @@ class WrenchFilter:
             correction, before, WITH_CAMERA if has_camera else CUP,
             used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
             np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * (
-                self.sensor.gain_std**2 + before.memory[ekf.SHARE]) * np.square(
+                GAIN_STD**2 + before.memory[ekf.SHARE]) * np.square(
                     np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
 
     def package_load(

@@ -40,6 +40,13 @@ BLOCK_NS = 62_500_000
 """Longest block of averaged wrenches, ns: the low pass has its first zero at 16 Hz, -3 dB at
 7 Hz."""
 
+GAIN_STD = 0.01
+"""Relative standard deviation of a sensor's gain: the usual 1 % of data sheets."""
+
+GRIPPER_STD = 0.02
+"""Relative standard deviation of a gripper's mass, first moments and inertia from CAD, with hoses
+and screws left out."""
+
 
 class WrenchSensor(NamedTuple):
     """Settings of a sensor, SI units; pairs are of force and moment."""
@@ -50,7 +57,6 @@ class WrenchSensor(NamedTuple):
     drift: tuple[float, float]
     """Random walk of the bias in 1 s."""
     bias_std: tuple[float, float]
-    gain_std: float
     delay_ns: int
     gripper: tuple[float, ...]
     """Inertial numbers phi (10,)."""
@@ -69,8 +75,8 @@ class WrenchSensor(NamedTuple):
             values[f'wrench.{name}'] for name in ('noise', 'drift', 'bias_std')))
         return cls(
             ((x, y, z), R, 1.0 if values['wrench.sign'] == 'load' else -1.0), noise, drift, bias,
-            values['wrench.gain_std'], round(NS_PER_S * values['wrench.delay']), phi, tuple(
-                np.repeat(values['gripper.std'] * sizes_of(np.array(phi)), (1, 3, 6)).tolist()))
+            round(NS_PER_S * values['wrench.delay']), phi,
+            tuple(np.repeat(GRIPPER_STD * sizes_of(np.array(phi)), (1, 3, 6)).tolist()))
 
 
 def sizes_of(phi: Array) -> Array:
