@@ -34,7 +34,7 @@ from ..core.observer.observer import Observer, VERDICTS
 from ..core.sensors.camera import TagCamera
 from ..core.signals import transforms
 from ..core.signals.screening import PoseSample
-from ..core.signals.trajectory import NS_PER_S
+from ..core.signals.trajectory import NS_PER_S, same_frame
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
 from ..report import findings, health
@@ -358,6 +358,8 @@ class Observing:
             return
         stamp_ns, (frame_id,), numbers = self._read_wrench(data)
         self._wrench_in.note(stamp_ns)
+        self._pipeline.node.note_frame(
+            frame_id, self._wrench_in.topic, 'its axes are those of wrench.frame')
         refused = self._pipeline.change(
             self._live.on_wrench, stamp_ns, frame_id, numbers[:3], numbers[3:])
         if refused:
@@ -414,15 +416,16 @@ class Observing:
             live.on_measured, stamp_ns, frame_id, *pose, covariance, arrival_ns)
         if (observer := self._observer) is None:  # before the first pose of the tool
             return
-        if not (frame_id or live.frame_id):
-            node.note_frame('', self._measured_in.topic, 'its frame is that of the tool poses')
-        if frame_id != live.frame_id and not observer.sensor.has_own_world:
-            node.get_logger().warning(
-                f"package/measured is in frame '{shown(frame_id)}', the tool in "
-                f"'{shown(live.frame_id)}', so its poses are not used. Set "
-                'recording.package_world to the pose of the first frame in the second, as '
-                'estimated by bellows identify.',
-                throttle_duration_sec=10.0)
+        if not observer.sensor.has_own_world:
+            node.note_frame(
+                frame_id, self._measured_in.topic, 'its frame is that of the tool poses')
+            if not same_frame(frame_id, live.frame_id):
+                node.get_logger().warning(
+                    f"package/measured is in frame '{shown(frame_id)}', the tool in "
+                    f"'{shown(live.frame_id)}', so its poses are not used. Set "
+                    'recording.package_world to the pose of the first frame in the second, as '
+                    'estimated by bellows identify.',
+                    throttle_duration_sec=10.0)
         self._publish_payload()
 
     def _publish_payload(self) -> None:

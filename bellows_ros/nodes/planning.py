@@ -25,7 +25,7 @@ from ..core.planning.arm import Arm, read_arm
 from ..core.planning.plan_prediction import NO_ABORT, PlanPrediction, PlanSimulation
 from ..core.planning.points import joint_excess, Joints, plan_of, plan_of_joints
 from ..core.planning.steering import steer
-from ..core.signals.trajectory import at_tip, from_tip, Trajectory
+from ..core.signals.trajectory import at_tip, from_tip, same_frame, Trajectory
 from ..errors import BellowsError
 from ..files import plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
@@ -193,7 +193,7 @@ class Planning:
         """Raise for a plan in another frame than the tool's poses."""
         plan_messages.require_frame(frame_id, self._pipeline.values)
         frame = self._pipeline.live.frame_id
-        if frame and frame_id not in ('', frame):
+        if not same_frame(frame, frame_id):
             raise BellowsError(
                 f"The plan is in frame '{frame_id}'; expected '{frame}', the frame of "
                 "the tool's poses. Transform the plan.")

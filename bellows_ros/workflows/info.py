@@ -31,6 +31,7 @@ from bellows_ros.core.signals.resampling import at_sampling, common_span, resamp
 from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
     PoseStream,
+    same_frame,
     Trajectory,
     TwistStream,
 )
@@ -413,7 +414,7 @@ def _why_separate(
 ) -> Finding | None:
     """Return the finding on two worlds or two clocks of two topics, None if consistent."""
     frames = {'tool': tool.frame_id, 'package': package.frame_id}
-    if all(frames.values()) and tool.frame_id != package.frame_id:
+    if not same_frame(*frames.values()):
         return Finding('two_frames', Level.WARN, frames)
     first, last = common_span(tool, package)
     if last < first:
@@ -497,7 +498,7 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     usual = np.median(offset, axis=0)
     down = {name: -float(alignment.world_rotation(name)[2] @ usual) for name in alignment.WORLDS}
     lowest = max(down, key=lambda name: down[name])
-    is_comparable = len({tool.frame_id, package.frame_id} - {''}) < 2  # one frame
+    is_comparable = same_frame(tool.frame_id, package.frame_id)
     below = is_comparable and distance > 0.0 and (
         down[lowest] > np.linalg.norm(usual) * np.cos(np.deg2rad(40.0)))
     world = lowest if below else 'z_up'

@@ -36,7 +36,7 @@ from bellows_ros.core.parameters.conversion import cup_of, gravity_of, package_o
 from bellows_ros.core.parameters.table import lookup
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.screening import PoseSample
-from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, Trajectory
+from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, same_frame, Trajectory
 from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike
@@ -616,7 +616,7 @@ class LivePredictor:
         measurement = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
         if isinstance(measurement, str):
             observer.counts[measurement] += 1
-        elif not observer.sensor.has_own_world and self.frame_id not in ('', frame_id):
+        elif not (observer.sensor.has_own_world or same_frame(self.frame_id, frame_id)):
             observer.counts['frame_id'] += 1
         else:
             newest_ns = self.arrivals.newest_ns

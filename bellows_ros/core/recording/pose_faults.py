@@ -20,6 +20,7 @@ from bellows_ros.core.signals.trajectory import (
     any_within,
     NS_PER_S,
     PoseStream,
+    same_frame,
     Trajectory,
     TwistStream,
 )
@@ -178,7 +179,7 @@ class RecordedPoses:
     @property
     def one_frame(self) -> bool:
         """Whether both bodies are in one frame, as far as they name it."""
-        return len({self.tool.frame_id, self.package.frame_id} - {''}) < 2
+        return same_frame(self.tool.frame_id, self.package.frame_id)
 
     @property
     def named(self) -> tuple[tuple[str, PoseStream, PoseStream], ...]:

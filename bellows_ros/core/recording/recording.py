@@ -31,7 +31,13 @@ from bellows_ros.core.recording.outliers import Outliers
 from bellows_ros.core.sensors.corners import CornerNoise, Tag, TagViews
 from bellows_ros.core.signals import resampling, trajectory
 from bellows_ros.core.signals.savgol import savgol, weights, whole_windows
-from bellows_ros.core.signals.trajectory import Filtered, PoseStream, Trajectory, TwistStream
+from bellows_ros.core.signals.trajectory import (
+    Filtered,
+    PoseStream,
+    same_frame,
+    Trajectory,
+    TwistStream,
+)
 from bellows_ros.errors import BellowsError, shown, UndeterminedError
 import numpy as np
 
@@ -778,7 +784,7 @@ def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
         The error has the remedy.
 
     """
-    if tool.frame_id and package.frame_id and tool.frame_id != package.frame_id:
+    if not same_frame(tool.frame_id, package.frame_id):
         raise BellowsError(
             f"The poses of '{tool.name}' are in frame '{shown(tool.frame_id)}', those of "
             f"'{package.name}' in '{shown(package.frame_id)}', and the transform between the two "

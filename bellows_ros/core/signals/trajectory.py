@@ -231,6 +231,11 @@ class Filtered(Trajectory):
     weights: Array = field(kw_only=True)
 
 
+def same_frame(*frame_ids: str) -> bool:
+    """Return whether frames may be one: a message without frame_id is in the expected frame."""
+    return len({*frame_ids} - {''}) < 2
+
+
 def uniform_rate_hz(stamps_ns: Stamps) -> float:
     """
     Return the rate of uniformly spaced stamps.

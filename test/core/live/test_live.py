@@ -217,6 +217,17 @@ def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
     assert live.tool.verdict == verdict
 
 
+@pytest.mark.parametrize(('tool', 'package', 'refused'), [
+    ('base', '', 0), ('', 'base', 0), ('', '', 0), ('base', 'base', 0), ('base', 'camera', 1)])
+def test_a_message_without_a_frame_is_in_the_expected_one(tool, package, refused):
+    live = LivePredictor.from_parameters({
+        'package.mass': 1.0, 'package.com': [0.0, 0.0, -0.05],
+        'package.inertia': [0.01, 0.01, 0.01, 0.0, 0.0, 0.0]})
+    live.on_pose(START, tool, (0.0, 0.0, 1.0), UPRIGHT)
+    live.on_measured(START, package, (0.0, 0.0, 0.9), UPRIGHT)
+    assert live.package.observer.counts['frame_id'] == refused
+
+
 def test_twists_in_a_new_frame_id_are_believed_after_a_while(messages, predictor):
     for k in range(200):
         messages.pose(predictor, k)
