@@ -13,6 +13,8 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .conftest import overrides_of, PACKAGE, Peer, set_on, START
 from .test_planning import encode_multi_dof, message, VALUES
@@ -150,7 +152,8 @@ def test_the_start_refuses_what_the_running_node_refuses(make_partner):
     given = VALUES.replaced({'package.size': [0.1] * 3, 'landing.height': -1.0})
     partner = make_partner(given)
     node, tried = partner.predictor, 0
-    pipeline, plan = node.pipeline, encode_multi_dof(message())
+    pipeline, plan = node.pipeline, deserialize_message(
+        encode_multi_dof(message()), MultiDOFJointTrajectory)
     for topic in (*vars(pipeline.outputs).values(), *vars(pipeline.planning).values()):
         if hasattr(topic, 'subscribed'):
             topic.subscribed = True
