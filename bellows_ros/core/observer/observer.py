@@ -450,6 +450,8 @@ class Observer:
         seen = [each for before, after in pairwise(self._estimates)
                 if (each := after.evidence.seen) is not before.evidence.seen and each
                 and each.stamp_ns > stamp_ns - alarms.MAX_FALL_NS]
+        if not seen:
+            return False
         end = self._track.after(stamp_ns)
         first = max(self._track.after(seen[0].stamp_ns - ONSET_NS), 1)
         every = max((end - first) // MAX_ONSETS, 1)

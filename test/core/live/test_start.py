@@ -52,19 +52,6 @@ class Cell:
         assert phase == 'predicting' and size < 1e-3
 
 
-@pytest.mark.parametrize(('period_ns', 'apart', 'after'), [
-    (2 * MS, 0.02, 1.0), (2_777_778, 0.04, 0.5), (8 * MS, 0.3, 0.5), (10 * MS, 0.01, 0.0),
-    (20 * MS, 0.08, 1.0)])
-def test_after_two_tools_on_one_topic(period_ns, apart, after):
-    """One of both, or neither, stands still then: on exactly one pose, as simulations do."""
-    rng = np.random.default_rng(round(1e4 * apart) + period_ns)
-    cell = Cell(period_ns)
-    for k in range(max(20, round(1e9 / period_ns))):
-        o = np.array([apart * (k % 2), 0.0, 0.0]) + NOISE * rng.standard_normal(3)
-        cell.send(tuple(o.tolist()))
-    cell.stands_still((after * apart, 0.0, 0.0))
-
-
 @pytest.mark.parametrize(('period_ns', 'speed', 'rate', 'kind'), [
     (2 * MS, 5.0, 0.0, 'random'), (2_777_778, 11.0, 0.0, 'constant'),
     (8 * MS, 0.0, 30.0, 'random'), (10 * MS, 0.5, 0.0, 'constant'),
