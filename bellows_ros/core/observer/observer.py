@@ -166,6 +166,7 @@ class Observer:
             each.clear()
         self._newest = None
         self._watch.clear()
+        self.wrenches.clear()
         self._since_ns = self._gated = 0
         if states.MASS not in kept:
             self._first_of_package = len(self.alarms)

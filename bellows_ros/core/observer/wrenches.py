@@ -174,6 +174,10 @@ class WrenchFilter:
         self._count = 0
         self.set_up = SetUp(sensor)
 
+    def clear(self) -> None:
+        """Accept wrenches of any next stamp."""
+        self._count = 0
+
     def in_own_axes(self, tool: State, of_world: Vector) -> Vector:
         """Return a vector of the world in axes of the sensor."""
         R = t3.multiply(t3.rotation_matrix(tool[1]), self.sensor.mount[1])

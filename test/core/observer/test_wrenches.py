@@ -64,6 +64,14 @@ def test_loss_is_told():
     assert (alarm.kind, alarm.shown_by, 0.0 < delay < 0.02) == ('lost', 'wrench', True)
 
 
+def test_time_that_goes_back_restarts_the_wrenches():
+    """As a recording that is played in a loop: a reset forgets their stamps."""
+    made, wrench = observer(), ((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
+    assert [made.wrenches.add(stamp, wrench) > 0 for stamp in (10**12, 10**9)] == [True, False]
+    made.forget()
+    assert made.wrenches.add(10**9, wrench)
+
+
 SENSOR = WrenchSensor.of(resolve({'wrench.frame': '0 0 0.12 0 0 0 1'}))
 WEIGHT = 9.81 * PACKAGE.mass
 SET_UPS = '', 'sign', 'world_axes', 'tcp', 'zeroed_holding', 'compensated', 'unknown'
