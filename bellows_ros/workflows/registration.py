@@ -8,6 +8,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
+from bellows_ros.core.identification.samples import likely_delay
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.values import Values
@@ -58,11 +59,16 @@ def _registered(
         return prepare(tool, moved, settings.in_world(pose), twist, alignment)
 
     recording = filtered(alignment)
+    late_s = likely_delay(recording) if values.fit.time_offset else None
+    if late_s:
+        tool = trajectory.earlier(tool, late_s)
+        twist = twist and trajectory.earlier(twist, late_s)
+        rough_s, recording = rough_s + late_s, filtered(alignment)
     names = [name for name, free in (
-        ('time_offset', values.fit.time_offset), ('package_world', estimate),
+        ('time_offset', late_s is not None), ('package_world', estimate),
         ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
     found = output_error.registered(
-        recording, given_structure(values), one_cup_of(values), weak_prior(names))
+        recording, given_structure(values), one_cup_of(values), weak_prior(names)) if names else None
     changes, estimates = dict[str, Any](), {
         name: found.estimate(name) for name in found.problem.places} if found else {}
     world, world_std = estimates.get('package_world', (None, np.zeros(6)))

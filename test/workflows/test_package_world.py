@@ -81,7 +81,8 @@ def test_offset_is_printed_and_written_into_its_file(result, bag, settings, tmp_
     (recording,) = content['recordings']
     assert recording['time_offset'] == {'value': offset, 'std': error, 'unit': 's'}
     assert recording['package_world']['units']['position'] == 'm'
-    assert kept['measured.latency'] == -offset and kept['measured.latency_std'] == error
+    assert kept['measured.latency'] == pytest.approx(-offset, abs=1e-9)
+    assert kept['measured.latency_std'] == pytest.approx(error, abs=1e-9)
     assert replay(bag, {
         **kept, **read_parameters(tmp_path / 'cup.yaml')}).validation.failing() == ()
 

@@ -521,6 +521,6 @@ def registered(
         return found
     if list(free) == ['time_offset']:
         return None
+    names = ', '.join(free).replace('package_world', 'recording.package_world')
     raise UndeterminedError(
-        f'{", ".join(free)} cannot be found: the search did not converge. '
-        + NOTES['wrong_package'])
+        f'{names} cannot be found: the search did not converge. ' + NOTES['wrong_package'])

@@ -6,6 +6,7 @@ P (4.66-4.68).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.model.cup_package import gravity_vector, Package, regressor
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.model.validity_range import Envelope
+from bellows_ros.core.recording.preparation import with_tool_earlier
 from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.signals.savgol import BLOCK
@@ -26,6 +28,14 @@ from numpy.typing import ArrayLike
 
 ENVELOPE_BAND = 0.95
 """Fraction of the deflection's power inside the frequency bands."""
+
+DELAYS = np.arange(-25, 26) * 0.01
+"""Delays that are compared, s: more than a swinging package lags behind the tool, in steps shorter
+than a swing."""
+
+MIN_CONTRAST = 0.2
+"""Smallest fall of the mean logarithm of the unexplained wrench at the likeliest delay, relative
+to the median of all; by noise alone it is below 0.05."""
 
 
 class LipMotion(NamedTuple):
@@ -107,6 +117,26 @@ def samples_of(recording: Recording) -> Samples:
     return recording.cached('filtered samples', lambda: Samples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
+
+
+def likely_delay(recording: Recording) -> float | None:
+    """
+    Return the delay (s) of the tool's stamps with which a linear cup explains most of the motion.
+
+    The wrench of the package is regressed on displacement and twist of the lip. The result is
+    None if no delay is distinguished, as with standstills alone.
+    """
+    unexplained = np.zeros(len(DELAYS))
+    for number, delay in enumerate(DELAYS.tolist()):
+        with suppress(BellowsError):  # nothing in common at this delay
+            lip = samples_of(with_tool_earlier(recording, delay)).lip
+            A = np.hstack([lip.displacement(0.0), lip.twist, np.ones((len(lip.wrench), 1))])
+            left = lip.wrench - A @ np.linalg.lstsq(A, lip.wrench, rcond=None)[0]
+            unexplained[number] = np.mean(np.log(left.var(axis=0) / lip.wrench.var(axis=0)))
+    best = int(np.argmin(unexplained))
+    if not unexplained[best] < np.median(unexplained) - MIN_CONTRAST:
+        return None
+    return float(DELAYS[best])
 
 
 def lip_relative(

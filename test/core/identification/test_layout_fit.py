@@ -8,7 +8,7 @@ from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.model.structure import composition, STRUCTURES
+from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.conversion import given_structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.preparation import prepare
@@ -83,17 +83,6 @@ def test_one_cup_is_found_by_least_squares(noise, within):
         payload=PLATE, gravity=GRAVITY, tool_half_window=12, package_half_window=12))
     fit = least_squares([statistics(samples_of(recording), ONE.length, LAYOUT)])
     assert_allclose(fit.parameters, NUMBERS, rtol=within)
-
-
-def test_a_structure_of_cups_is_their_composition():
-    """Within the full 6x6, as the covariance of a composed cup has it."""
-    x = np.random.default_rng(3).uniform(0.5, 2.0, 8)
-    of_one = STRUCTURES['axisymmetric'].upper @ x
-    both = np.kron(np.eye(2), composition(np.array(LAYOUT.places)))
-    assert_allclose(STRUCTURES['full'].upper @ LAYOUT.within(STRUCTURES['full']) @ x,
-                    both @ of_one, atol=1e-12)
-    assert STRUCTURES['full'].contains(LAYOUT)
-    assert not STRUCTURES['diagonal'].contains(LAYOUT)
 
 
 @pytest.mark.parametrize('layout', [(0.0, 0.0, 0.0), (0.05, 0.0), (0.05, 0.0, 0.0) * 2])
