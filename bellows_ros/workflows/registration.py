@@ -68,7 +68,8 @@ def _registered(
         ('time_offset', late_s is not None), ('package_world', estimate),
         ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
     found = output_error.registered(
-        recording, given_structure(values), one_cup_of(values), weak_prior(names)) if names else None
+        recording, given_structure(values), one_cup_of(values), weak_prior(names),
+    ) if names else None
     changes, estimates = dict[str, Any](), {
         name: found.estimate(name) for name in found.problem.places} if found else {}
     world, world_std = estimates.get('package_world', (None, np.zeros(6)))
