@@ -360,7 +360,9 @@ def _whitened(
         for path in response.path]
     of_tool = np.sqrt(np.mean(
         np.einsum('fii->fi', whitening.total).real - of_poses / period, axis=0))
-    total = (MAD_TO_STD * np.median(np.abs(found.values[found.used]), axis=0)) ** 2
+    squares = found.values[found.used] ** 2
+    total = np.mean(np.minimum(
+        squares, HUBER_STD**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
     std = np.sqrt(np.maximum(total - of_tool**2, 0.1 * total))
     return Part(
         innovations, found.values[found.used],
