@@ -7,10 +7,10 @@ import re
 from bellows_ros.core.findings import Level
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3
+from bellows_ros.core.identification import estimate
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.quantities import as_found
 from bellows_ros.core.identification.result import Finding
-from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.faults import recording_remarks
@@ -167,8 +167,9 @@ def test_a_replay_names_clocks_that_are_apart():
 
 
 def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypatch):
-    simulations, prior = [], Problem.prior  # two at most for each step
-    monkeypatch.setattr(Problem, 'prior', lambda *own: simulations.append(1) or prior(*own))
+    simulations, evaluated = [], estimate.evaluated  # two at most for each step
+    monkeypatch.setattr(
+        estimate, 'evaluated', lambda *own: simulations.append(1) or evaluated(*own))
     found, verdict = judged(faulty('yaw', 300, seconds=3.0))
     assert found.chi2 > 3.0 and 0 < len(simulations) <= 300
     assert verdict.refusals and verdict.causing[0].name == 'yaw'
