@@ -249,6 +249,10 @@ def rank(end: Solution, given_std: Free) -> tuple[Finding, ...]:
         names = [*dict.fromkeys([*names, 'length', 'package_world'])]
     tried = sorted((freed(end, name) for name in names),
                    key=lambda one: one.gain, reverse=True)
+    gains = {one.name: one.gain for one in tried}
+    if gains.get('slip', math.inf) < gains.get('com', 0.0) + SIGNIFICANT**2:  # from the beginning
+        tried = [one for one in tried if one.name != 'slip']
+        del falls['slip']
     total = max([misfit_beyond_noise(end), 1e-9, *(one.gain for one in tried)])
     tried = [one for one in tried if one.name in least or one.gain > max(
         SIGNIFICANT**2 * max(one.found.colour, 1.0), least_share(one) * total)]
