@@ -64,8 +64,10 @@ def _registered(
         tool = trajectory.earlier(tool, late_s)
         twist = twist and trajectory.earlier(twist, late_s)
         rough_s, recording = rough_s + late_s, filtered(alignment)
+    tells_clock = values.fit.time_offset and (late_s is not None or len(
+        frames.rotation_correlation(tool.trajectory(), package.trajectory())[0]) > 0)
     names = [name for name, free in (
-        ('time_offset', late_s is not None), ('package_world', estimate),
+        ('time_offset', tells_clock), ('package_world', estimate),
         ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
     found = output_error.registered(
         recording, given_structure(values), one_cup_of(values), weak_prior(names),
