@@ -47,6 +47,9 @@ STAMP = slice(4, 12)
 
 POSES, TWISTS = 'tool_arm/pose', 'tool_arm/twist'
 
+PROBE_PERIOD = 0.05
+"""Time between two probes, and of their stamps, s."""
+
 PROBES = 20
 """Number of answered probes after which messages arrive in both directions."""
 
@@ -221,7 +224,8 @@ class _Player:
         node.create_subscription(PoseStamped, 'package/pose', self._receive, QUEUE, raw=True)
         self._reset = node.create_client(Trigger, 'predictor/reset')
         self._request: Any = Trigger.Request()
-        self._seconds = count(rows[0][1] // NS_PER_S - 3600)  # of probes, an hour earlier
+        self._stamps = count(  # of probes, an hour earlier
+            rows[0][1] - 3600 * NS_PER_S, round(PROBE_PERIOD * NS_PER_S))
 
     def _receive(self, data: Any) -> None:
         """Store an answer with its arrival (ns)."""
@@ -235,14 +239,14 @@ class _Player:
                 raise BellowsError(
                     f'The predictor {failure} (at most {TIMEOUT:g} s waited). See its log, '
                     f'{self._log}, and whether DDS may use the loopback interface.')
-            self._executor.spin_once(timeout_sec=0.05)
+            self._executor.spin_once(timeout_sec=PROBE_PERIOD)
 
     def _is_answered(self) -> bool:
         """Return whether enough probes were answered; send another one."""
-        second = next(self._seconds)
+        stamp = divmod(next(self._stamps), NS_PER_S)
         for name, writer in self._writers.items():
             data = next(data for topic, _, data in self._rows if topic == name)
-            writer.publish(data[:4] + struct.pack('<iI', second, 0) + data[12:])
+            writer.publish(data[:4] + struct.pack('<iI', *stamp) + data[12:])
         return len(self.answers) >= PROBES
 
     def play(self) -> dict[bytes, int]:

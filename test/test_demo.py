@@ -54,16 +54,6 @@ def test_every_message_is_answered_within_the_noise(outcome):
         assert float(value) < LARGEST_ERROR[unit]
 
 
-def test_it_writes_the_picture(outcome, root):
-    """Write a picture that shows six axes, as the README's does."""
-    images = pytest.importorskip('PIL.Image')
-    for name in ('demo.png',):
-        new, shown = (images.open(path / name) for path in (outcome[1], root / 'docs' / 'images'))
-        assert new.width > 1200 and new.height > 900
-        texts = [re.sub(r'-?\d[\d.e+-]*', '#', each.text['Description']) for each in (new, shown)]
-        assert texts[0] == texts[1], 'run: make pictures'
-
-
 @pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
 def test_a_missing_recording_is_reported(missing, root, tmp_path, capsys):
     """End with 2 and say what is not there, before anything is made."""

@@ -202,11 +202,11 @@ class Partner(Peer):
 
 
 def topics_of(predictor):
-    """Return the `Topic` of each output on the package."""
+    """Return the `Topic` of each output that follows each pose of the tool."""
     from bellows_ros.nodes.outputs import Topic
 
     return [part for name, part in vars(predictor.pipeline.outputs).items()
-            if isinstance(part, Topic) and name not in ('_state', '_ok')]
+            if isinstance(part, Topic) and name not in ('_state', '_ok', 'landing')]
 
 
 class Listener(Peer):
