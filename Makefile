@@ -82,10 +82,9 @@ reference: $(VENV)/ready  ## write docs/reference/ from the declarations
 	@$(BIN)/python docs/tools/reference.py $(ARGS)
 
 .PHONY: pictures
-pictures: $(VENV)/extras-ready  ## draw the pictures that no command on a page draws, and run the notebook
+pictures: $(VENV)/ready  ## draw the pictures that no command on a page draws
 	@$(BIN)/python docs/figures/overview.py
 	@$(BIN)/python docs/figures/release.py
-	@$(BIN)/python docs/tools/notebooks.py
 
 .PHONY: pages
 pages: $(VENV)/ready  ## run the commands on all pages, and write what they print and draw into them
@@ -105,7 +104,7 @@ bags: $(VENV)/ready  ## make the recordings in bags/ again
 venv: $(VENV)/ready  ## only make the environment
 
 .PHONY: extras
-extras: $(VENV)/extras-ready  ## add ffmpeg, a notebook kernel and MuJoCo for their tests
+extras: $(VENV)/extras-ready  ## add MuJoCo for its test
 
 .PHONY: release
 release: $(VENV)/ready  ## build sdist and wheel, install each in an empty environment, and use it
@@ -139,8 +138,7 @@ $(VENV)/docs-ready: setup.py | $(VENV)/ready
 
 # What only some tests need, and is too heavy for everyone.
 $(VENV)/extras-ready: setup.py | $(VENV)/ready
-	@.ci/install $(BIN)/python 'ffmpeg, a notebook kernel, MuJoCo' \
-	    --editable '.[notebook]' 'mujoco>=3.1'
+	@.ci/install $(BIN)/python 'MuJoCo' 'mujoco>=3.1'
 	@touch $@
 
 .venv-oldest/ready: setup.py .ci/oldest.txt

@@ -16,8 +16,6 @@ EXTRAS = {
     'fast': ['numba>=0.59'],
     'plot': ['matplotlib>=3.8'],
     # The program ffmpeg, for animations as .mp4 where the system has none (170 MB).
-    # What runs notebooks/; open them with any Jupyter.
-    'notebook': ['ipykernel>=6.29', 'nbclient>=0.10', 'matplotlib>=3.8'],
     'docs': ['sphinx>=7.2', 'myst-parser>=3', 'furo>=2024.1'],
     # Many recordings on the machines of a cluster.
     'dask': ['distributed>=2024.1'],
