@@ -165,8 +165,7 @@ def test_named_cups(make_predictor):
     set_on(node, 'cup.name', 'hard')
     assert node.pipeline.live.model[0][2][0][0] == 2 * soft[0]
     for name, value, named in (
-            ('cup.name', 'hart', "'hard'"), ('cup.stiffness', soft, "cup.name is 'hard'"),
-            ('cups.new.stiffness', soft, 'cups.new.stiffness')):
+            ('cup.name', 'hart', "'hard'"), ('cup.stiffness', soft, "cup.name is 'hard'")):
         result = node.set_parameters([Parameter(name, value=value)])[0]
         assert not result.successful and named in result.reason
     with pytest.raises(BellowsError, match=r'cups\.blue'):
