@@ -62,7 +62,7 @@ class Planning:
                 (MultiDOFJointTrajectory, 'tool_arm/steered'),
                 (JointTrajectory, 'tool_arm/steered_joints')))
         self._urdf, self._is_warm = '', False
-        self._stop, self._answering = NO_ABORT, Future[None]()
+        self._stop, self._answering = np.zeros(1, np.bool_), Future[None]()
         self._outcome: PlanPrediction | Status | None = None
         sys.setswitchinterval(5e-5)  # s; limits the wait of the live prediction
         read: Read
