@@ -459,14 +459,6 @@ class Correction:
         """Return an estimate with the initial wrench."""
         return self.rolled_back(estimate, self.initial, WRENCH_ROWS)._replace(contact=0.0)
 
-    def slipped(self, estimate: Estimate, size: float) -> Estimate:
-        """Return an estimate of a package that slipped across the lip by a size (m)."""
-        P = estimate.covariance.copy()
-        for axis in range(2):
-            rows = np.ix_(*[(states.SHIFT + axis, states.COM + axis)] * 2)
-            P[rows] += size**2
-        return estimate._replace(covariance=P)
-
     def rolled_back(
         self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
     ) -> Estimate:

@@ -37,7 +37,7 @@ from bellows_ros.core.sensors.set_up import COS_MIN_TILT, fault_of, Still
 from bellows_ros.core.sensors.wrench import (
     cup_load,
     GAIN_STD,
-    gripper_regressors,
+    gripper_load,
     Mount,
     WrenchSensor,
 )
@@ -246,11 +246,12 @@ class WrenchFilter:
 
     def _of_gripper(self, start: State, end: State, seconds: float, gravity: Any) -> Array:
         """Return the mean load (6,) of the gripper between two states, less that at the zero."""
-        rates = np.subtract(np.ravel(end[2:4]), np.ravel(start[2:4])) / seconds
         middle = kernels.tool_at(kernels.tool_segment(start, end, seconds), 0.5)
-        Y = gripper_regressors(
-            np.hstack(middle[:4])[None], rates[None], np.array(gravity), self.sensor.mount)
-        return np.asarray(Y[0] @ self.sensor.gripper)
+        dv, dw = (t3.scale(1.0 / seconds, t3.subtract(b, a)) for a, b in zip(
+            start[2:4], end[2:4], strict=True))
+        now, zero = gripper_load(
+            middle, (dv, dw), gravity, self.sensor.mount, self.sensor.gripper)
+        return np.asarray(np.subtract(np.ravel(now), np.ravel(zero)))
 
     def _updated(
         self, correction: Correction, before: Estimate, kept: Places, y: Array, H: Array,

@@ -64,15 +64,16 @@ def test_wrench_is_that_of_newton_and_euler(sign):
     package = wrench_cell.points_of(PACKAGE.mass, np.zeros(3), PACKAGE.inertia)
     true = wrench_cell.loads(
         poses(tool), poses(body), package, GRIPPER, T_TOOL_SENSOR, STEP_NS * 1e-9)
-    given, Y = sensor(sign), np.zeros((6, wrench.INERTIAL_NUMBERS))
+    given = sensor(sign)
     twist = np.array([[*state[2], *state[3]] for state in tool])
     rates = np.gradient(twist, STEP_NS * 1e-9, axis=0)
     shown = []
     for k in range(2, len(tool) - 2):
-        wrench.write_gripper_regressor(
-            tool[k], (tuple(rates[k, :3]), tuple(rates[k, 3:])), model[2], given.mount, Y)
+        of_gripper = wrench.load_of_gripper(
+            tool[k], (tuple(rates[k, :3]), tuple(rates[k, 3:])), model[2], given.mount,
+            given.gripper)
         shown.append(np.ravel(wrench.cup_load(model, tool[k], body[k], given.mount))
-                     + Y @ given.gripper)
+                     + np.ravel(of_gripper))
     size = np.repeat([np.abs(true[:, :3]).max(), np.abs(true[:, 3:]).max()], 3)
     factor = 1.0 if sign == 'load' else -1.0
     assert_allclose(factor * np.array(shown) / size, true / size, atol=2e-4)
@@ -80,4 +81,4 @@ def test_wrench_is_that_of_newton_and_euler(sign):
 
 def test_gripper_without_mass_has_no_inertia():
     with pytest.raises(BellowsError, match=r'gripper\.mass is 0'):
-        wrench.inertial_numbers(0.0, np.array([0.1, 0, 0]), np.zeros(6))
+        wrench.gripper_at_sensor(0.0, np.array([0.1, 0, 0]), np.zeros(6))
