@@ -124,7 +124,7 @@ class SensorInput:
         for other in self._node.get_publishers_info_by_topic(self.topic):
             offered = other.qos_profile
             if may_miss and offered.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-                return health.fact('latched', topic=self.topic)
+                return health.fact('qos', topic=self.topic, name='durability')
             if other.topic_type != self._type:
                 return health.fact('type', topic=self.topic, name=other.topic_type)
             for name, mismatch in (
@@ -266,7 +266,7 @@ class Attachment:
             self._refused[rejected] += 1
             if live.vacuum.fault:
                 self._pipeline.node.get_logger().error(
-                    findings.text(health.fact('pressure_fault', topic=self.signal.topic,
+                    findings.text(health.fact('pressure', topic=self.signal.topic,
                                               reason=health.REASONS[live.vacuum.fault])),
                     throttle_duration_sec=30.0)
         elif live.vacuum.open_cups != opened:

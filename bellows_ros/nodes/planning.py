@@ -118,7 +118,7 @@ class Planning:
                 self._steer_joints(plan, tool, joints)
         except BellowsError as error:
             if not stop[0]:  # a newer plan is waiting
-                self._outcome = Status('plan', fact('plan_refused', error=str(error)), {})
+                self._outcome = Status('plan', fact('plan', words=f'Refused. {error}'), {})
                 self._pipeline.node.get_logger().warning(f'A plan was refused. {error}')
 
     def _predict(self, tool: Trajectory, tail: float, stop: Mask) -> PlanPrediction:
@@ -152,7 +152,7 @@ class Planning:
         safety, outside = outcome.smallest_safety, outcome.outside(
             parameter_envelope(values), values.package.mass, values.vacuum.holding)
         message = ' '.join(warnings(filter(None, (
-            safety_finding(*safety, 0.0, values.safety.least) if outcome.grip else None,
+            safety_finding(*safety[:2], 0.0, values.safety.least) if outcome.grip else None,
             Finding('outside', Level.WARN, {'ranges': '; '.join(outside)}) if outside else None,
             flip_finding(outcome.bending)))))
         released = outcome.grip is not None and safety[0] < 1.0

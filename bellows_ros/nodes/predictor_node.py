@@ -351,7 +351,7 @@ class Diagnostics:
             pipeline.observing.wrench_status('wrench'), pipeline.attachment.status('vacuum'),
             pipeline.planning.status)
         load = health.load_status('load', pipeline.load)
-        self._log(load, load.finding.code in ('live_unsafe', 'live_lets_go'))
+        self._log(load, load.finding.code in ('unsafe', 'lets_go'))
         return [*lines, load, *(line for line in others if line)]
 
     def _log(

@@ -17,6 +17,7 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.predictor import LivePredictor
 from bellows_ros.core.live.vacuum import Load
+from bellows_ros.core.model.grip import safety_finding
 from bellows_ros.core.model.validity_range import FLAT_MOMENT_BENDING
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -61,8 +62,8 @@ def number(value: float) -> str:
 
 
 def fact(code: str, level: Level = Level.WARN, topic: str = '', **numbers: Any) -> Finding:
-    """Return a finding on the live prediction."""
-    return Finding(f'live_{code}', level, numbers, topic)
+    """Return a finding with numbers."""
+    return Finding(code, level, numbers, topic)
 
 
 class Status(NamedTuple):
@@ -122,11 +123,6 @@ class InputReport(NamedTuple):
             **quantiles('age {} (s)', self.ages), 'silent for (s)': number(self.silent),
             **{f'refused: {reason}': str(count) for reason, count in self.total_refused.items()}}
 
-    def refusal(self, level: Level, code: str = 'refused', **numbers: Any) -> Finding:
-        """Return the finding on rejected messages since the last report."""
-        return fact(code, level, self.topic, refused=sum(self.refused.values()),
-                    messages=self.messages, reasons=listed(self.refused), **numbers)
-
 
 def listed(counts: Mapping[str, int]) -> str:
     """Return counts in words."""
@@ -134,57 +130,66 @@ def listed(counts: Mapping[str, int]) -> str:
         f'{count} x {REASONS.get(reason, reason)}' for reason, count in counts.items() if count)
 
 
-def input_status(name: str, report: InputReport, optional: bool = False) -> Status:
-    """Return the status of an input, which may be absent if optional."""
-    worst, topic = Level.WARN if optional else Level.ERROR, report.topic
-    refused, age = sum(report.refused.values()), float(np.median(report.ages)) if len(
-        report.ages) else math.nan
+def input_status(
+    name: str, report: InputReport, worst: Level = Level.ERROR, state: str = '',
+    effect: str = '', is_latched: bool = False,
+) -> Status:
+    """
+    Return the status of an input.
+
+    Parameters
+    ----------
+    name : str
+        Name of the line.
+    report : InputReport
+        Statistics of the input.
+    worst : Level
+        Level without any usable message.
+    state : str
+        Words for a working input; by default its rate.
+    effect : str
+        Effect of missing messages.
+    is_latched : bool
+        Whether messages come at changes only, so that silence after the first is right.
+
+    """
+    refused, age = sum(report.refused.values()), float(
+        np.median(report.ages)) if len(report.ages) else math.nan
     if refused and report.messages:
-        found = report.refusal(worst if refused >= report.messages else Level.WARN)
+        found = fact('refused', worst if refused >= report.messages else Level.WARN, report.topic,
+                     refused=refused, messages=report.messages, reasons=listed(report.refused),
+                     effect=effect)
     elif report.mismatch:
         found = report.mismatch._replace(level=Level.WARN if report.messages else worst)
-    elif report.messages and abs(age) > MAX_AGE:
-        found = fact('behind' if age > 0.0 else 'ahead', seconds=abs(age))
-    elif report.messages:
-        found = fact('rate', Level.OK, rate=report.rate_hz)
-    elif report.publishers:
-        found = fact('silent' if math.isfinite(report.silent) else 'silent_so_far', worst, topic,
-                     seconds=report.silent)
+    elif abs(age) > MAX_AGE:
+        found = fact('clock', seconds=abs(age), side='behind' if age > 0.0 else 'ahead of')
+    elif report.messages or is_latched and math.isfinite(report.silent):
+        found = fact('state', Level.OK, state=state or f'{report.rate_hz:.4g} Hz')
     else:
-        found = fact('estimated' if optional else 'absent',
-                     Level.OK if optional else worst, topic)
+        since = f'for {report.silent:.1f} s' if math.isfinite(report.silent) else 'so far'
+        found = fact('silent', worst, report.topic, since=since, publishers=report.publishers,
+                     effect=effect)
     return Status(name, found, report.values)
 
 
 def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> Status:
     """Return the status of the twists, with the number of recent poses without one."""
-    status = input_status(name, report, optional=True)
+    status = input_status(name, report, Level.WARN)
+    if not report.publishers and status.finding.code == 'silent':
+        return status._replace(finding=fact(
+            'state', Level.OK, state=f'No publisher of {report.topic}: estimated from the poses'))
     if status.level > Level.OK or 2 * report.messages <= poses or 2 * unpaired <= poses:
         return status
     return status._replace(finding=fact('unpaired', unpaired=unpaired, poses=poses))
 
 
 def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
-    """
-    Return the status of the vacuum signal.
-
-    A latched signal is sent when it changes, and may be silent after its first message.
-    """
-    worst = Level.WARN if held else Level.ERROR  # without a held package nothing is predicted
-    state, topic = f'the package counts as {"" if held else "not "}held', report.topic
-    if report.mismatch:
-        found = report.mismatch._replace(level=worst)
-    elif not report.publishers:
-        found = fact('no_vacuum', worst, topic, state=state)
-    elif any(report.refused.values()):
-        found = report.refusal(worst, 'pressure_refused', state=state)
-    elif math.isinf(report.silent):
-        found = fact('vacuum_silent_so_far', Level.WARN, topic, state=state)
-    elif not (report.messages or latched):
-        found = fact('vacuum_silent', worst, topic, seconds=report.silent, state=state)
-    else:
-        found = fact('held' if held else 'not_held', Level.OK)
-    return Status(name, found, report.values | {'held': str(held).lower()})
+    """Return the status of the vacuum signal; without a held package nothing is predicted."""
+    state = 'held' if held else 'not held'
+    status = input_status(
+        name, report, Level.WARN if held else Level.ERROR, state.capitalize(),
+        f'; the package counts as {state}', latched)
+    return status._replace(values=status.values | {'held': str(held).lower()})
 
 
 def prediction_finding(
@@ -208,41 +213,41 @@ def prediction_finding(
 
     """
     if state != 'active':
-        return fact('not_active', Level.OK, state=state.capitalize())
+        return fact('state', Level.OK, state=f'{state.capitalize()}: nothing is published')
     for code, applies, level in (
             ('no_equilibrium', restarts.get('no_equilibrium'), Level.ERROR),
             ('failed', restarts.get('failure'), Level.ERROR),
-            ('lost', phase == 'lost', Level.ERROR), ('above', above, Level.ERROR),
+            ('no_poses', phase == 'lost', Level.ERROR), ('tool_z', above, Level.ERROR),
             ('restarted', any(restarts.values()), Level.WARN),
-            ('coasting', phase == 'coasting', Level.WARN),
+            ('no_poses', phase == 'coasting', Level.WARN),
             ('settling', phase == 'settling', Level.WARN),
             ('twists', not twists_fit, Level.WARN),
-            ('covariance', not has_covariance, Level.WARN)):
+            ('no_equilibrium', not has_covariance, Level.WARN)):
         if applies:
-            return fact(code, level, failures=restarts.get('failure', 0), reasons=listed(restarts))
-    return fact(phase, Level.OK)
+            return fact(code, level, phase=phase.capitalize(), reasons=listed(restarts),
+                        failures=restarts.get('failure', 0))
+    return fact('state', Level.OK, state=phase.capitalize())
 
 
 def load_status(name: str, load: Load) -> Status:
     """Return the status of the cup's load since the last report, and reset it."""
     safety, excess, bending = load.reset()
-    factor, mode = safety or (math.nan, 'nothing')
+    factor, mode = safety or (math.inf, 'nothing')
     values = {
         'safety factor': number(factor) if load.grip else 'not known', 'limited by': mode,
         'distance from envelope': number(
             excess.value if excess else math.nan) if load.has_envelope else 'not known',
         'largest bending (degrees)': number(math.degrees(bending))}
-    if factor < load.required:
-        found = fact('lets_go' if factor < 1.0 else 'unsafe', Level.ERROR if factor < min(
-            load.required, 1.0) else Level.WARN, factor=factor, mode=mode, least=load.required)
-    elif bending > FLAT_MOMENT_BENDING:
-        found = fact('bending', bending=bending)
-    elif excess and excess.outside:
-        found = fact('outside', words=excess.text)
-    elif not (load.grip or load.has_envelope):
-        found = fact('no_limits', Level.OK)
-    else:
-        found = fact('within' if safety or excess else 'no_load', Level.OK)
+    if not (found := safety_finding(factor, mode, 0.0, load.required)):
+        if bending > FLAT_MOMENT_BENDING:
+            found = fact('flips', angle=bending, limit=FLAT_MOMENT_BENDING)
+        elif excess and excess.outside:
+            found = fact('outside', ranges='; '.join(excess.outside))
+        elif not (load.grip or load.has_envelope):
+            found = fact('no_factor', Level.OK)
+        else:
+            found = fact('state', Level.OK, state='Within all known limits' if (
+                safety or excess) else 'No package is held')
     return Status(name, found, values)
 
 

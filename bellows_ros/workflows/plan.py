@@ -231,13 +231,14 @@ class PlanReport(CommandResult):
         """Findings on the motion."""
         source, prediction = self.source, self.prediction
         safety = Finding('no_factor') if prediction.grip is None else safety_finding(
-            *prediction.smallest_safety, self.std['smallest_safety_factor'], self.least)
+            *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], self.least)
         x, y, z = source.tool.rotation[0, :, 2].tolist()
         return (*source.notes, *filter(None, (
-            Finding('above') if points_down((x, y, z), source.model[2]) else None,
+            Finding('tool_z') if points_down((x, y, z), source.model[2]) else None,
             safety, flip_finding(prediction.bending),
-            None if source.begins_at_rest else Finding('begins_in_motion'),
-            None if prediction.ends_at_rest else Finding('ends_in_motion'),
+            None if source.begins_at_rest and prediction.ends_at_rest else Finding('in_motion', (
+                Level.WARN), {'side': ' and '.join(['begins'] * (not source.begins_at_rest) + [
+                    'ends'] * (not prediction.ends_at_rest))}),
             outside_finding(self.outside))))
 
     def as_json(self) -> dict[str, Any]:
@@ -415,15 +416,12 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
             'more. Select a longer part.')
-    tool, measured, notes = (
-        source.tool.select(chosen), measured.select(measured_chosen), source.notes)
+    tool, measured = source.tool.select(chosen), measured.select(measured_chosen)
     if source.recorded is not None and stands_at_first(measured):
         tool = from_rest(tool)
     elif source.recorded is not None and not simulation.stands(np.asarray(tool.twist)[0]):
-        tool, (linear, angular) = with_fitted_start(tool, measured)
-        notes = (*notes, Finding(
-            'fitted_start', Level.WARN, {'linear': linear, 'angular': angular}))
-    return replace(source, tool=tool, path=os.fspath(path), values=values, notes=notes)
+        tool = with_fitted_start(tool, measured)
+    return replace(source, tool=tool, path=os.fspath(path), values=values)
 
 
 def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
@@ -520,26 +518,21 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
                   recorded=at_tip(poses.trajectory(), conversion.tip_of(values)))
 
 
-def with_fitted_start(
-    tool: Trajectory, measured: Trajectory
-) -> tuple[Trajectory, tuple[float, float]]:
+def with_fitted_start(tool: Trajectory, measured: Trajectory) -> Trajectory:
     """
     Return a motion with its first two poses and twists from a quintic through measured poses.
 
-    The quintic is fitted to position and rotation vector over the first `START_WINDOW`. The second
-    result, the largest standard errors of the initial acceleration (m/s^2, rad/s^2), is infinite
-    for fewer than `MIN_START_POSES` poses, whose motion is unchanged.
+    The quintic is fitted to position and rotation vector over the first `START_WINDOW`. A motion
+    with fewer than `MIN_START_POSES` poses is unchanged.
     """
     window = measured.select(measured.seconds <= START_WINDOW)
     if len(window) < MIN_START_POSES:
-        return tool, (math.inf, math.inf)
+        return tool
     seconds, at = ((stamps - tool.stamps_ns[0]) / NS_PER_S
                    for stamps in (window.stamps_ns, tool.stamps_ns[:2]))
     powers, poses = np.vander(seconds, 6, True), np.hstack([
         window.position, lie.log_so3(window.rotation[0].T @ window.rotation)])
     fit = np.linalg.lstsq(powers, poses, rcond=None)[0]
-    variance = 4.0 * np.linalg.inv(powers.T @ powers)[2, 2] * np.sum(
-        (poses - powers @ fit)**2, axis=0) / (len(seconds) - 6)
     value, rate = np.vander(at, 6, True), np.vander(at, 5, True) * np.arange(1.0, 6.0)
     position, rotation, twist = (np.array(part) for part in (
         tool.position, tool.rotation, tool.twist))
@@ -548,8 +541,7 @@ def with_fitted_start(
         rate @ fit[1:], 2, axis=1)
     twist[:2] = np.hstack([lie.apply(np.swapaxes(rotation[:2], -1, -2), v),
                            w - 0.5 * np.cross(phi, w)])  # body rate, to first order
-    std = np.sqrt(np.maximum(variance, 0.0)).reshape(2, 3).max(axis=1).tolist()
-    return replace(tool, position=position, rotation=rotation, twist=twist), (std[0], std[1])
+    return replace(tool, position=position, rotation=rotation, twist=twist)
 
 
 def stands_at_first(measured: Trajectory) -> bool:

@@ -156,7 +156,7 @@ class TossResult(CommandResult):
             None if lost_at is None else Finding(
                 'lost_before', Level.WARN, {'lost': lost_at, 'switched': self.case.switched}),
             flip_finding(angle),
-            Finding('no_lip') if self.mode == 'delay' and not release.opening else None,
+            Finding('no_factor') if self.mode == 'delay' and not release.opening else None,
             Finding('assumed_delay', Level.WARN, {
                 'longest': conversion.MAX_DELAY, 'speed': speed,
                 'shift': conversion.MAX_DELAY * speed}) if self.assumed else None,

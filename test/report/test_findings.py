@@ -37,7 +37,7 @@ def test_a_fact_makes_sentences(code):
 def test_a_finding_is_rendered():
     """As sentences, as an entry of JSON, and by the use that it prevents."""
     finding = Finding('no_factor')
-    assert text(finding).startswith('The safety factor') and 'Set cup.lip_radius' in text(finding)
+    assert text(finding).startswith('Without cup.lip_radius') and 'Set both' in text(finding)
     assert entry(finding)['sets'] == ['cup.lip_radius', 'vacuum.holding']
     assert warnings([finding, Finding('no_factor', Level.OK)]) == (text(finding),)
     assert not prevents(finding, 'fit')

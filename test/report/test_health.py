@@ -25,12 +25,12 @@ def test_window_keeps_the_newest_and_begins_again():
     assert set(quantiles('{}', health.taken(window)).values()) == {'none'}
 
 
-def of_input(optional=False, **changes):
-    return health.input_status('x', REPORT._replace(**changes), optional)
+def of_input(worst=Level.ERROR, **changes):
+    return health.input_status('x', REPORT._replace(**changes), worst)
 
 
-def of_twists(messages, unpaired):
-    return health.twist_status('x', REPORT._replace(messages=messages), 500, unpaired)
+def of_twists(messages, unpaired, **changes):
+    return health.twist_status('x', REPORT._replace(messages=messages, **changes), 500, unpaired)
 
 
 def of_vacuum(held, latched, **changes):
@@ -59,27 +59,27 @@ NO_LINK = fact('qos', topic='/topic', name='durability')
     (of_input(refused={'frame_id': 500}), Level.ERROR, '500 of 500'),
     (of_input(ages=np.full(3, 5.0)), Level.WARN, '5 s behind'),
     (of_input(ages=np.full(3, -2.0)), Level.WARN, '2 s ahead'),
-    (of_input(messages=0, silent=math.inf), Level.ERROR, 'no message so far'),
-    (of_input(True, messages=0, publishers=0), Level.OK, '/topic'),
-    (of_input(True, messages=0), Level.WARN, '/topic'),
+    (of_input(messages=0, silent=math.inf), Level.ERROR, 'No message on /topic so far'),
+    (of_twists(0, 0, publishers=0), Level.OK, '/topic'),
+    (of_twists(0, 0), Level.WARN, '/topic'),
     (of_twists(500, 0), Level.OK, '500 Hz'), (of_twists(500, 240), Level.OK, '500 Hz'),
     (of_twists(500, 260), Level.WARN, '260 of 500'), (of_twists(100, 400), Level.OK, '500 Hz'),
     (of_vacuum(True, True, messages=0), Level.OK, 'Held'),
     (of_vacuum(True, False, messages=0), Level.WARN, '3.0 s'),
     (of_vacuum(False, False, messages=0), Level.ERROR, '3.0 s'),
-    (of_vacuum(False, True, messages=0, silent=math.inf), Level.WARN, '/topic'),
-    (of_vacuum(False, True, refused={'gauge': 1}), Level.ERROR, 'absolute pressure'),
+    (of_vacuum(False, True, messages=0, silent=math.inf), Level.ERROR, '/topic'),
+    (of_vacuum(False, True, messages=1, refused={'gauge': 1}), Level.ERROR, 'gauge'),
     (of_vacuum(True, True, mismatch=NO_LINK), Level.WARN, 'durability'),
     (of_prediction(state='inactive'), Level.OK, 'Inactive'),
     (of_prediction(phase='coasting'), Level.WARN, 'Coasting'),
     (of_prediction(restarts={'gap': 2}), Level.WARN, '2 x'),
     (of_prediction(restarts={'no_equilibrium': 1}), Level.ERROR, 'package.mass'),
     (of_prediction(twists_fit=False), Level.WARN, 'tool_twist.frame'),
-    (of_prediction(has_covariance=False), Level.WARN, 'package/odometry'),
+    (of_prediction(has_covariance=False), Level.WARN, 'no covariance'),
     (of_prediction(above=True), Level.ERROR, 'tool_pose.offset'),
     (of_load(None, 0.1), Level.OK, 'cup.lip_radius'), (of_load(2.0, 0.1), Level.OK, 'Within'),
     (of_load(1.234, 0.1), Level.WARN, '1.23 (peel), below safety.least, 1.5'),
-    (of_load(0.8, 0.1), Level.ERROR, '0.80 (peel)'), (of_load(2.0, 0.7), Level.WARN, '40 degrees'),
+    (of_load(0.8, 0.1), Level.ERROR, '0.8 (peel)'), (of_load(2.0, 0.7), Level.WARN, '40 degrees'),
 ])
 def test_level_of_a_status(status, level, words):
     assert status.level == level

@@ -233,7 +233,7 @@ def test_lost_grip_and_unknown_grip_are_reported(bag):
     low = figures(bag, values={'safety.least': 20.0})
     assert 'below safety.least, 20' in low['warnings'][0]
     unknown = figures(bag, values={'vacuum.holding': 0.0})
-    assert 'Set cup.lip_radius' in unknown['warnings'][0]
+    assert 'Without cup.lip_radius' in unknown['warnings'][0]
     assert unknown['smallest_safety_mode'] is None
     soft = figures(bag, values={
         'cup.stiffness': np.diag([5400.0, 5400.0, 9200.0, 0.3, 0.3, 1.35]).ravel().tolist()})
@@ -283,7 +283,7 @@ def test_a_plan_that_begins_in_motion_is_reported_and_starts_in_motion(tmp_path)
     content = message(times_ns=times, poses=poses, twists=twists)
     bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(content))
     found = figures(bag)
-    assert any('begins in motion' in warning for warning in found['warnings'])
+    assert any('begins and ends in motion' in warning for warning in found['warnings'])
     assert_allclose(found['peak_force'], 1.8 * math.hypot(3.0, 9.81), rtol=1e-3)
     with pytest.raises(BellowsError):
         figures(bag, seek_fastest=True)
@@ -312,25 +312,23 @@ def test_a_recording_that_begins_at_rest_is_predicted_from_rest():
 
 
 def test_the_start_in_motion_of_a_recording_is_fitted():
-    """The first acceleration is true within its stated error, which is small against gravity."""
+    """The error of the first acceleration is small against gravity."""
     rng, move = np.random.default_rng(4), Move([0.6, 0.0, 0.1], [0.2, 0.0, 0.5], 0.6)
     t = np.arange(250) * 2e-3
-    ratios = []
     for begin in (0.1, 0.15, 0.2):
         o, R, v = move.at(begin + t)
         R = R @ lie.exp_so3(5e-5 * rng.standard_normal((len(t), 3)))
         noisy = Trajectory(np.round(t * 1e9).astype(np.int64),
                            o + 2e-5 * rng.standard_normal(o.shape), R,
                            v + 2e-3 * rng.standard_normal(v.shape))
-        fitted, std = with_fitted_start(noisy, noisy)
-        assert std[0] < 0.5 and std[1] < 2.0
+        fitted = with_fitted_start(noisy, noisy)
         h, exact = 1e-4, move.at(np.array([begin]))[2]
         rates = np.diff(fitted.twist[:2], axis=0)[0] / 2e-3
         truth = (np.array(move.at(np.array([begin + 1e-3 + h]))[2])
                  - move.at(np.array([begin + 1e-3 - h]))[2])[0] / (2.0 * h)
-        ratios.append((rates - truth).reshape(2, 3) / np.array(std)[:, None])
+        assert_allclose(rates[:3], truth[:3], atol=0.5)
+        assert_allclose(rates[3:], truth[3:], atol=2.0)
         assert_allclose(np.asarray(fitted.twist)[0], exact[0], atol=0.02)
-    assert 0.1 < np.sqrt(np.mean(np.square(ratios))) < 2.0
 
 
 def test_the_margin_of_a_standstill_is_that_of_the_weight():

@@ -84,16 +84,12 @@ class CupLength(NamedTuple):
     @property
     def remarks(self) -> tuple[Finding, ...]:
         """Findings on the length."""
-        masses, count = len(set(_groups(self.loads).tolist())), self.degrees_of_freedom
-        told, known = np.isfinite([self.pick_std, self.length_std])
-        numbers = {
-            'size': float(np.sqrt(self.chi2 / max(count, 1))), 'masses': masses,
-            'enough': MASSES_FOR_CUBIC, 'std': self.length_std, 'load': float(self.loads.min())}
+        count = self.degrees_of_freedom
+        numbers = {'size': float(np.sqrt(self.chi2 / max(count, 1))), 'std': self.length_std,
+                   'load': float(self.loads.min())}
         return tuple(Finding(code, Level.WARN, numbers) for code, applies in (
-            ('wrong_mass' if told else 'scatter_or_wrong_mass',
-             count and chdtrc(count, self.chi2) < MIN_PROBABILITY),
-            ('two_masses', not known),
-            ('straight', known and masses < MASSES_FOR_CUBIC),
+            ('wrong_mass', count and chdtrc(count, self.chi2) < MIN_PROBABILITY),
+            ('two_masses', not np.isfinite(self.length_std)),
             ('uncertain_length', MAX_LENGTH_STD < self.length_std < np.inf)) if applies)
 
 

@@ -210,9 +210,8 @@ class Margin(NamedTuple):
     @property
     def finding(self) -> Finding:
         """The margin as a finding."""
-        return Finding('margin' if self.factor >= 1.0 else 'lets_go',
-                       Level.OK if self.factor >= 1.0 else Level.ERROR,
-                       {**self._asdict(), 'std': 0.0})
+        return safety_finding(self.factor, self.mode, 0.0, 1.0) or Finding(
+            'margin', Level.OK, self._asdict())
 
 
 def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
@@ -224,11 +223,11 @@ def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
 
 
 def safety_finding(
-    factor: float, mode: str, time: float, std: float, required: float
+    factor: float, mode: str, std: float, required: float
 ) -> Finding | None:
     """Return the finding on a safety factor that is too small, else None."""
     if math.isinf(factor) or (factor >= 1.0 and factor - 2.0 * std >= required):
         return None
     code, level = ('lets_go', Level.ERROR) if factor < 1.0 else ('unsafe', Level.WARN)
     return Finding(code, level, {
-        'factor': factor, 'mode': mode, 'time': time, 'std': std, 'required': required})
+        'factor': factor, 'mode': mode, 'lower': factor - 2.0 * std, 'required': required})

@@ -23,8 +23,6 @@ DIRECTIONS = (
     'bending about x', 'bending about y', 'torsion')
 """Names of the coordinates of the lip in the tool: shift (m) and rotation vector (rad)."""
 
-TYPICAL_BENDING = math.radians(20.0)
-"""Largest bending of real cups, rad."""
 FLAT_MOMENT_BENDING = 0.6
 """Bending beyond which the moment of (3.17) hardly grows, rad."""
 PEAK_MOMENT_BENDING = math.pi / 4.0
@@ -140,11 +138,6 @@ class Distance:
     value: float
     outside: tuple[str, ...]
 
-    @property
-    def text(self) -> str:
-        """Sentence on a state outside the range."""
-        return f'Outside the validity range: {"; ".join(self.outside)}.'
-
 
 def distance(
     valid: Envelope, deflection: ArrayLike, rates: ArrayLike, mass: float, vacuum: float = 0.0
@@ -246,4 +239,4 @@ def _loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> list[tupl
 def flip_finding(angle: float) -> Finding | None:
     """Return the finding on a bending angle (rad) beyond the largest moment, else None."""
     return None if angle <= PEAK_MOMENT_BENDING else Finding('flips', Level.WARN, {
-        'angle': angle, 'limit': PEAK_MOMENT_BENDING, 'typical': TYPICAL_BENDING})
+        'angle': angle, 'limit': PEAK_MOMENT_BENDING})

@@ -98,8 +98,6 @@ class Alarm(NamedTuple):
     def finding(self) -> Finding:
         """The finding, for a sentence."""
         code = self.kind if self.cup < 0 else 'lost_cup'
-        if self.kind == DIFFERS:
-            code = 'differs_mass' if len(self.value) == 1 else 'differs_com'
         seconds = (self.stamp_ns - self.since_ns) / NS_PER_S if self.since_ns else math.nan
         (x, y), along = self.place, t3.scale(1.0 / max(t3.norm(self.shift), 1e-9), self.shift)
         return Finding(f'alarm_{code}', Level.ERROR, {
