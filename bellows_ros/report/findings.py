@@ -16,13 +16,13 @@ def facts() -> Mapping[str, Mapping[str, Any]]:
     return tomllib.loads(Path(__file__).with_name('findings.toml').read_text(encoding='utf-8'))
 
 
-def text(finding: Any) -> str:
+def text(finding: Finding) -> str:
     """Return a finding as sentences: the fact, and of one that needs attention the remedy."""
-    fact, numbers = facts()[finding.code], dict(finding.numbers)
-    numbers.setdefault('topic', getattr(finding, 'topic', ''))
-    needed = getattr(finding, 'level', Level.WARN) > Level.OK
-    return ' '.join(formatted(fact[part], **numbers)
-                    for part in ('what', *['do'] * needed) if part in fact)
+    fact = facts()[finding.code]
+    numbers = {'share': '', 'errors': '', 'topic': finding.topic, **finding.numbers}
+    return ' '.join(
+        formatted(fact[part], **numbers)
+        for part in ('what', *['do'] * (finding.level > Level.OK)) if part in fact)
 
 
 def warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
@@ -32,11 +32,18 @@ def warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
 
 def prevents(finding: Finding, use: str) -> bool:
     """Return whether a finding prevents a use of a recording, 'fit' or 'replay'."""
-    return facts()[finding.code].get('prevents') in ('replay', use)
+    return finding.level == Level.ERROR and (
+        facts()[finding.code].get('prevents') in ('replay', use))
+
+
+def sets(finding: Finding) -> list[str]:
+    """Return the parameters that correct a finding."""
+    found: list[str] = facts()[finding.code].get('sets', [])
+    return [name.format(topic=finding.topic) for name in found]
 
 
 def entry(finding: Finding) -> dict[str, Any]:
     """Return a finding for a JSON file, with its sentences and the parameters that it sets."""
     return {'code': finding.code, 'level': finding.level.name, 'topic': finding.topic,
-            'numbers': dict(finding.numbers), 'sets': facts()[finding.code].get('sets', []),
+            'numbers': dict(finding.numbers), 'sets': sets(finding),
             'text': text(finding)}

@@ -327,7 +327,9 @@ class Identification(CommandResult):
             count, chi2 = self.fit.standstills
             yield Finding('with_standstills', Level.OK, {'count': count, 'chi2': chi2})
         if static and static.length:
-            yield Finding('length_of_loads', Level.OK, {'length': length_sentence(static.length)})
+            yield Finding('estimated', Level.OK, {
+                'bag': 'By the loads alone, ', 'values': length_sentence(static.length)},
+                'cup.length')
 
     def _freed_values(self) -> Iterator[Finding]:
         """Yield findings on the parameters estimated by fit.free, lengths in mm."""
@@ -339,8 +341,8 @@ class Identification(CommandResult):
                 f'{factor * x:z.{max(1 - math.floor(math.log10(factor * s)), 0)}f} ± '
                 f'{factor * s:.2g}' for x, s in zip(
                     np.atleast_1d(value), np.atleast_1d(std), strict=True) if s)
-            yield Finding('freed_value', Level.OK, {
-                'values': f'{numbers} {"mm" if unit == "m" else unit}'}, name)
+            yield Finding('estimated', Level.OK, {
+                'bag': '', 'values': f'{numbers} {"mm" if unit == "m" else unit}'}, name)
 
     def _clocks(self) -> Iterator[Finding]:
         """Yield findings on the clocks of the recordings."""
@@ -422,7 +424,9 @@ class Identification(CommandResult):
         """Reasons to reject the cup; empty for a usable one."""
         doubts = self.verdict.refusals if self.verdict else ()
         return tuple(map(text_of, doubts if doubts or self.fit.usable else [Finding(
-            'cannot_hold' if self.fit.converged else 'not_converged', Level.ERROR)]))
+            'unusable', Level.ERROR, {
+                'why': 'this cup cannot hold a package' if self.fit.converged else (
+                    'the search did not converge')})]))
 
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError for a rejected cup; with force, only for a cup unable to predict."""

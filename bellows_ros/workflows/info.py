@@ -39,7 +39,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, File, messages, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import read_contents
-from bellows_ros.files.messages import DETECTIONS, TRANSFORMS
+from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import tag_sought, within_interval
@@ -220,7 +220,8 @@ class Info(NamedTuple):
     @property
     def is_tag(self) -> bool:
         """Whether the package's poses seem to be of a detected tag."""
-        return any(finding.code == 'tag_as_body' for finding in self.findings)
+        return any(finding.code == 'sensor' and finding.numbers['kind'] == 'detected tag'
+                   for finding in self.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -267,10 +268,7 @@ def info(path: File, given: Mapping[str, Any] = MappingProxyType({})) -> Info:
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for role, s in streams.items() if isinstance(s, TwistStream)
               and role.endswith('twist') and len(s) > 2}
-    has_only_tf = len(poses) < 2 and any(
-        topic.type_name == TRANSFORMS and topic.messages for topic in counts)
-    found = _with_roles(path, described, poses, twists,
-                        [Finding('only_transforms')] if has_only_tf else [])
+    found = _with_roles(path, described, poses, twists)
     return found._replace(settings={**found.settings, **given, 'bags': found.settings['bags']})
 
 
@@ -318,7 +316,7 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
 
 def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
-    twists: Mapping[str, TwistStream], findings: list[Finding]
+    twists: Mapping[str, TwistStream]
 ) -> Info:
     """Return the recording with roles, settings and findings."""
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
@@ -335,8 +333,8 @@ def _with_roles(
                 for topic in described if topic.type_name == kind
                 and is_named(topic.name, str(PARAMETERS[parameter].default))), {})}
     used = {guess.topic for guess in (tool, package, twist) if guess}
-    findings += [Finding('unusable_topic', Level.WARN, {'problem': topic.problem}, topic.name)
-                 for topic in described if topic.problem]
+    findings = [Finding('unusable_topic', Level.WARN, {'problem': topic.problem}, topic.name)
+                for topic in described if topic.problem]
     findings += [remark for topic in described if topic.name in used for remark in topic.remarks]
     rest_s = None
     streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
@@ -415,14 +413,16 @@ def _why_separate(
     """Return the finding on two worlds or two clocks of two topics, None if consistent."""
     frames = {'tool': tool.frame_id, 'package': package.frame_id}
     if not same_frame(*frames.values()):
-        return Finding('two_frames', Level.WARN, frames)
+        return Finding('two_worlds', Level.WARN, {
+            'why': "their frames are '{tool}' and '{package}'".format(**frames)})
     first, last = common_span(tool, package)
     if last < first:
         return Finding('two_clocks')
     low, high = IMPLAUSIBLE_DISTANCE
     if pair and low < pair.distance < high and pair.change > MAX_CHANGE:
         return Finding('two_worlds', Level.WARN, {
-            'distance': pair.distance, 'change': pair.change})
+            'why': f'the package is {pair.distance:.2g} m from the tool, which changes by '
+                   f'{pair.change:.2g} m'})
     return None
 
 

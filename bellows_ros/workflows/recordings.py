@@ -341,10 +341,12 @@ def world_finding(bag: object, estimated: prepared.PackageWorld | None) -> list[
     if estimated is None:
         return []
     errors = [f'{x:.2g}' for x in DISPLAY_FACTORS * estimated.std]
-    return [Finding('world', Level.OK, {
-        'bag': str(bag), 'position': ', '.join(f'{1e3 * x:.3f}' for x in estimated.pose[:3]),
-        'quaternion': ', '.join(f'{x:.6f}' for x in estimated.pose[3:]),
-        'position_std': ', '.join(errors[:3]), 'rotation_std': ', '.join(errors[3:])})]
+    position, quaternion = (', '.join(f'{factor * x:.{decimals}f}' for x in part) for (
+        part, factor, decimals) in ((estimated.pose[:3], 1e3, 3), (estimated.pose[3:], 1.0, 6)))
+    return [Finding('estimated', Level.OK, {
+        'bag': f'{bag}: ', 'values': f'position {position} mm, quaternion (x y z w) {quaternion}',
+        'errors': f"; standard errors {', '.join(errors[:3])} mm at the middle of the package's "
+        f'path, {", ".join(errors[3:])} degrees'}, 'recording.package_world')]
 
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

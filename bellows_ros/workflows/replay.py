@@ -7,7 +7,6 @@ import os
 import time
 from typing import Any, NamedTuple
 
-from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import result, samples
@@ -573,10 +572,9 @@ def _sensor_sentences(stream: PoseStream, is_tag: bool) -> tuple[str, ...]:
     """Return the warning of measured poses that are stated as of a tag, or not as of one."""
     body = stream.trajectory()
     outliers = find_outliers(body, LONGEST_GAP_NS)
-    return tuple(text(Finding(remark.code, Level.WARN, {'topic': stream.name, **remark.numbers}))
-                 for remark in sensor_remarks(
-                     body.select(outliers.good), timing(stream.stamps_ns).rate_hz,
-                     outliers.excursions / len(stream), is_tag, stream.corners is not None))
+    return tuple(text(remark._replace(topic=stream.name)) for remark in sensor_remarks(
+        body.select(outliers.good), timing(stream.stamps_ns).rate_hz,
+        outliers.excursions / len(stream), is_tag, stream.corners is not None))
 
 
 def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:

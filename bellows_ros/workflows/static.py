@@ -53,8 +53,9 @@ class StaticResult(NamedTuple):
         if self.length:
             yield from self.length.remarks
             if abs(self.length.length - self.cup_length) > 3e-4:  # m
-                yield Finding('other_length', Level.WARN, {
-                    'given': self.cup_length, 'found': self.length.length})
+                yield Finding('differs', Level.WARN, {
+                    'off': f'{1e3 * (self.cup_length - self.length.length):+.2f} mm off',
+                    'found': f'{self.length.length:.5f}'}, 'cup.length')
         for recording in self.recordings:
             settled, failed = standstills_in(recording)
             if failed:

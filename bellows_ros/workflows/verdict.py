@@ -31,7 +31,7 @@ from bellows_ros.core.signals.residuals import (
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
-from bellows_ros.report.findings import entry, facts, text
+from bellows_ros.report.findings import entry, sets, text
 from bellows_ros.workflows.causes import cause_finding, order_of
 import numpy as np
 
@@ -57,9 +57,6 @@ usual standard deviation of an inertia by CAD."""
 
 SIGMAS = 3.0
 """Number of stated standard deviations beyond which an estimate is a finding of its own."""
-
-SENSORS = ('tag_as_body', 'body_as_tag')
-"""Remarks on another kind of sensor than stated."""
 
 CLOCK_RATE = 'rate of the clocks (ppm)'
 
@@ -224,8 +221,8 @@ class FitVerdict(NamedTuple):
         if is_sound:
             return ()
         listed = ' '.join(f'{number}. {text(each)}' for number, each in enumerate(
-            (own for own in said if own.code != 'cause_unknown'), 1))
-        unknown = [own for own in said[:1] if own.code == 'cause_unknown']
+            (own for own in said if own.code != 'unknown_cause'), 1))
+        unknown = [own for own in said[:1] if own.code == 'unknown_cause']
         return (*(self.sensor or unknown), *(
             [Finding('likeliest', Level.WARN, {'causes': listed})] if likely else []))
 
@@ -240,7 +237,7 @@ class FitVerdict(NamedTuple):
                 'values': '; '.join(self.contradicted)}))
         if self.faults or self.wrong:
             names = [name for each in self.wrong[:1]
-                     for name in facts()[cause_finding(each, self.given).code].get('sets', ())]
+                     for name in sets(cause_finding(each, self.given))]
             reasons.append(Finding('correct_first', Level.ERROR, {
                 'name': ' or '.join(names) or 'the recording'}))
         return tuple(reasons)
@@ -277,7 +274,7 @@ def verdict_of(
     tested = recordings[:MAX_TESTED]
     faults, sensors = (tuple(remark for recording in tested for remark in filter(
         chosen, recording.report.remarks)) for chosen in (
-            lambda remark: remark.level == Level.ERROR, lambda remark: remark.code in SENSORS))
+            lambda remark: remark.level == Level.ERROR, lambda remark: remark.code == 'sensor'))
     if not tested:
         return None
     package = tested[0].payload

@@ -21,7 +21,7 @@ def test_a_fact_makes_sentences(code):
     fact = facts()[code]
     assert fact['what'].endswith(('.', '}')) and fact.get('prevents', 'fit') in ('fit', 'replay')
     assert set(fact) <= {'what', 'do', 'sets', 'prevents'}
-    assert set(fact.get('sets', ())) <= {*PARAMETERS}
+    assert set(fact.get('sets', ())) <= {*PARAMETERS, '{topic}'}
     for value in (0.5, None):
         numbers = {}
         for name, form in fields(fact).items():

@@ -155,8 +155,9 @@ def test_a_stamp_years_away_takes_no_memory():
 
 
 @pytest.mark.parametrize(('frame', 'late_s', 'aside', 'reason'), [
-    ('camera', 0.0, 0.0, "in frame 'base', the package in 'camera'"),
-    ('base', 100.0, 0.0, 'do not overlap'), ('base', 0.0, 1.0, 'no cup'), ('base', 0.0, 0.0, '')])
+    ('camera', 0.0, 0.0, "frames are 'base' and 'camera'"),
+    ('base', 100.0, 0.0, 'do not overlap'), ('base', 0.0, 1.0, 'which changes by'),
+    ('base', 0.0, 0.0, '')])
 def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside, reason):
     """Free world, clock and marker where frames, stamps or distances are not of one world."""
     R_world = exp_so3(np.array([0.4, 1.0, -0.7]) * aside)

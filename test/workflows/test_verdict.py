@@ -121,11 +121,11 @@ def test_what_a_fit_found_comes_after_nothing_but_facts():
     assert found.is_at_noise and found.causing == wrong
     recording = laboratory.recording()
     faulty = replace(recording, report=replace(recording.report, remarks=(
-        findings.Finding('mass', Level.ERROR, {'mass': 1e3}),)))
+        findings.Finding('low_pass', Level.ERROR, {'above': 40.0}),)))
     found = verdict.verdict_of(
         replace(made_for(laboratory), causes=wrong), [faulty], laboratory.length,
         parameters(laboratory))
-    assert found.cause[0].code == 'mass' and found.refusals and not found.causing
+    assert found.cause[0].code == 'low_pass' and found.refusals and not found.causing
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
@@ -162,8 +162,8 @@ def test_an_estimate_beyond_three_deviations_is_a_finding_of_its_own():
 
 
 @pytest.mark.parametrize(('size', 'noise', 'camera_hz', 'named'), [
-    (0.0, 6e-3, 30.0, ['tag_as_body']), (0.0, 5e-4, 240.0, []), (0.05, 6e-3, 30.0, []),
-    (0.05, 5e-4, 240.0, ['body_as_tag'])])
+    (0.0, 6e-3, 30.0, ['sensor']), (0.0, 5e-4, 240.0, []), (0.05, 6e-3, 30.0, []),
+    (0.05, 5e-4, 240.0, ['sensor'])])
 def test_poses_of_another_kind_of_sensor_are_named(size, noise, camera_hz, named):
     laboratory = Laboratory(4, seconds=6.0, rate_hz=240.0)
     laboratory.noise, laboratory.camera_hz = ((3e-4, noise), laboratory.noise[1]), camera_hz

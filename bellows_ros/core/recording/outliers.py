@@ -306,24 +306,6 @@ def _repeats(poses: Trajectory | PoseStream) -> Mask:
                       & np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2)))
 
 
-def repeats_in_motion(poses: Trajectory | PoseStream) -> int:
-    """
-    Count the poses equal to the previous pose while earlier and later poses change.
-
-    Repeats of a slow noise-free motion are rounding, and do not count.
-    """
-    repeats = _repeats(poses)
-    if not repeats.any():
-        return 0
-    lengths = np.linalg.norm(increments_of(poses), axis=2)
-    smallest = np.min(np.where(lengths > 0.0, lengths, np.inf), axis=1, keepdims=True)
-    moves = np.any(lengths > np.maximum(ROUNDING_FACTOR * smallest, MIN_STEP), axis=0)
-    moved, at = np.append(0, np.cumsum(moves)), np.flatnonzero(repeats)
-    before = moved[at] > moved[np.maximum(at - SIDE_SAMPLES, 0)]
-    after = moved[np.minimum(at + 1 + SIDE_SAMPLES, len(moves))] > moved[at + 1]
-    return int(np.count_nonzero(before & after))
-
-
 def _frozen(poses: Trajectory) -> list[slice]:
     """Return the repeated poses that end with a step too large for the surrounding motion."""
     repeats = _repeats(poses)

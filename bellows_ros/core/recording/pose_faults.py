@@ -197,7 +197,7 @@ def clock_steps(poses: RecordedPoses) -> Iterator[Finding]:
     for body, steps in (('both', both), ('tool', of_tool), ('package', of_package)):
         for at, size in steps:
             if body == 'both' or _nearest((at, size), both) >= MAX_STEPS_APART:
-                yield Finding('clock_step' if body != 'both' else 'clock_steps', Level.ERROR, {
+                yield Finding('clock_step', Level.ERROR, {
                     'at': at, 'size': size, 'until': at + min(size, 0.0) - STEP_MARGIN,
                     'since': at + STEP_MARGIN}, body)
 
@@ -268,7 +268,8 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Finding]:
     moves = bool(np.any(tool_motion >= MOVING))
     noise = NOISE_DEVIATIONS * noise_of(package)
     if moves and np.all(package_motion < np.fmax(AT_REST, noise)):
-        yield Finding('package_at_rest', Level.ERROR, _sizes(package_motion), 'package')
+        yield Finding('no_swing', Level.ERROR, {
+            'fixed': 'rests while the tool moves', **_sizes(package_motion)}, 'package')
         return
     relative = _relative_motion(poses, bodies)
     if relative is None or len(relative) < SAMPLES // 2:
@@ -280,8 +281,9 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Finding]:
     if is_seen and distance < conventions.MAX_DISTANCE and np.all(
             deviation < np.fmax(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
             noise < MOVING / 10.0):
-        yield Finding('one_body' if distance < 1e-3 else 'package_on_tool', Level.ERROR, {
-            'distance': distance, **_sizes(deviation)}, 'package')
+        yield Finding('no_swing', Level.ERROR, {
+            'fixed': 'is fixed to the tool' if distance >= 1e-3 else 'has the poses of the tool',
+            **_sizes(deviation)}, 'package')
 
 
 def _sizes(deviation: Array) -> dict[str, float]:
@@ -346,11 +348,12 @@ def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
     if poses.one_frame:
         bodies = conventions.changed(poses.bodies, units, conventions.in_metres)
         if body := conventions.wrong_order(bodies):
-            yield Finding('quaternion_order', Level.ERROR, topic=body)
+            yield Finding('quaternions', Level.ERROR, {'fault': 'w is first'}, body)
         return
     plain, inverse = _similarities(poses.bodies)
     if inverse > MIN_SIMILARITY and 1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain):
-        yield Finding('inverse_rotation', Level.ERROR, topic='both')
+        yield Finding(
+            'quaternions', Level.ERROR, {'fault': 'inverse, or w is first'}, 'both')
 
 
 def _similarities(bodies: Bodies) -> tuple[float, float]:
@@ -413,12 +416,14 @@ def impossible_packages(poses: RecordedPoses) -> Iterator[Finding]:
     if com[2] > MAX_COM_HEIGHT:
         yield Finding('com_inside', Level.ERROR, {'height': float(com[2])})
     if mass > structure.MAX_MASS:
-        yield Finding('mass', Level.ERROR, {'mass': mass})
+        yield Finding('unit', Level.ERROR, {
+            'value': f'{mass:.4g} kg', 'unit': 'g'}, 'package.mass')
     elif tuple(moments) == NO_INERTIA[:3]:
         return
     elif gyration > structure.GYRATION[-1]:
-        yield Finding('inertia', Level.ERROR, {
-            'moments': moments.tolist(), 'unit': structure.unit_of_inertia(gyration)})
+        yield Finding('unit', Level.ERROR, {
+            'value': f'{", ".join(f"{x:.4g}" for x in moments)} kg m^2',
+            'unit': structure.unit_of_inertia(gyration)}, 'package.inertia')
     elif sentence := structure.too_dense(mass, gyration):
         yield Finding('too_dense', Level.ERROR, {'sentence': sentence})
 

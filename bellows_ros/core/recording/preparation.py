@@ -30,7 +30,6 @@ from .outliers import (
     find_repeats,
     increments_of,
     LastingStep,
-    repeats_in_motion,
 )
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
@@ -43,9 +42,6 @@ MAX_LATERAL_OFFSET = 5e-3
 
 MAX_LATERAL_COM = 1e-6
 """Largest lateral centre of mass that counts as none, m."""
-
-MAX_REPEAT_FRACTION = 0.05
-"""Largest fraction of poses that repeat the previous one in motion, as single lost messages do."""
 
 MAX_TRAVEL = 20.0
 """Largest travel of a body in metres, m: a larger one is in millimetres."""
@@ -258,33 +254,27 @@ def remarks_on(report: StreamReport) -> list[Finding]:
     topic = recorded.name
     lasting = lasting_steps(report)
     remarks = [Finding('step', Level.WARN, {
-        'shift': step.position, 'rotation': step.rotation,
-        'at': float(recorded.stamps_ns[step.before] - recorded.stamps_ns[0]) / NS_PER_S}, topic)
-        for step in lasting]
-    if len(lasting) > MAX_POSE_STEPS:
-        remarks = [Finding('steps', Level.WARN, {
-            'count': len(lasting), 'shift': max(step.position for step in lasting)}, topic)]
+        'count': len(lasting), 'shift': max(step.position for step in lasting),
+        'rotation': max(step.rotation for step in lasting),
+        'at': float(recorded.stamps_ns[lasting[0].before] - recorded.stamps_ns[0]) / NS_PER_S},
+        topic)] if lasting else []
+    jitter = {'jitter': arrivals.jitter_s if arrivals else time.jitter_s, 'rate': time.rate_hz,
+              'instead': '; uniform times are used instead' * bool(arrivals)}
     if arrivals:
-        remarks.append(Finding('arrivals', Level.WARN, {
-            'replaced': arrivals.replaced, 'jitter': arrivals.jitter_s,
-            'latest': arrivals.latest_s, 'position': float(arrivals.smoother[0]),
-            'rotation': float(arrivals.smoother[1]), 'position_before': float(arrivals.rougher[0]),
-            'rotation_before': float(arrivals.rougher[1])}, topic))
+        remarks.append(Finding('jitter', Level.WARN, jitter, topic))
     elif _in_bursts(report):
-        return [Finding('bursts', Level.ERROR, topic=topic), *remarks]
+        return [Finding('jitter', Level.ERROR, jitter, topic), *remarks]
     good = recorded.position[report.outliers.good]
     travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
-    repeats = repeats_in_motion(recorded)
     return remarks + [Finding(code, Level.WARN, numbers, topic) for is_due, code, numbers in (
-        (travel > MAX_TRAVEL, 'travel', {'travel': travel}),
+        (travel > MAX_TRAVEL, 'millimetres', {}),
         (time.rate_hz < LOW_RATE_HZ, 'low_rate', {'rate': time.rate_hz, 'least': LOW_RATE_HZ}),
-        (repeats > MAX_REPEAT_FRACTION * len(recorded), 'repeats', {'count': repeats}),
         (report.stamp_resolution > 0.0, 'quantised', {
             'tick': report.stamp_resolution, 'repeated': report.repeated_stamps,
             'poses': len(recorded) + report.repeated_stamps}),
         (not report.stamp_resolution and (
-            time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER),
-         'jitter', {'jitter': time.jitter_s, 'rate': time.rate_hz})) if is_due]
+            time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER), 'jitter', jitter))
+        if is_due]
 
 
 def _in_bursts(report: StreamReport) -> bool:

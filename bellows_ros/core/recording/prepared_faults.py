@@ -135,10 +135,10 @@ def sensor_remarks(
     if not np.isfinite(noise).all():
         return
     if not is_tag and seems_tag(noise, rate_hz, excursions):
-        yield Finding('tag_as_body', Level.WARN, sizes, 'package')
+        yield Finding('sensor', Level.WARN, {'kind': 'detected tag', **sizes}, 'package')
     elif is_tag and rate_hz > TAG_RATE_HZ and not has_corners and (
             not seems_tag(noise, 0.0, excursions)):
-        yield Finding('body_as_tag', Level.WARN, sizes, 'package')
+        yield Finding('sensor', Level.WARN, {'kind': 'tracked body', **sizes}, 'package')
 
 
 def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
@@ -160,13 +160,12 @@ def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[F
     if apart := [*_two_worlds(recording, tool, package, lip)]:
         yield from apart
     elif away > conventions.MAX_DISTANCE:
-        yield Finding('apart', Level.ERROR, {'away': away}, 'both')
+        yield Finding('two_worlds', Level.ERROR, {
+            'why': f'the lip of the cup would be {away:.3g} m from the tool tip'})
     elif above > 0.0:  # mostly: the package may have fallen
         centre = apply(back, package.position - tool.position)
-        below, upward = (float(np.median(offset[:, 2])) for offset in (-centre, in_world))
-        is_frame = recording.settings.package_frame == 'com' and below > 0.0
-        yield Finding('package_frame' if is_frame else 'upside_down', Level.ERROR, {
-            'above': above, 'below': below if is_frame else -upward})
+        is_frame = recording.settings.package_frame == 'com' and np.median(centre[:, 2]) < 0.0
+        yield Finding('package_frame' if is_frame else 'tool_z', Level.ERROR, {'above': above})
 
 
 def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
@@ -194,8 +193,9 @@ def _two_worlds(
         body = recording.measured_package
         motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
         yield Finding('package_world', Level.ERROR, {
-            'motion': alignment.motion_sentence(motion), 'before': before, 'after': after},
-            'package')
+            'motion': alignment.motion_sentence(motion), 'share': (
+                f' Seen from the tool, the lip of the cup moves by {1e3 * before:.0f} mm, and by '
+                f'{1e3 * after:.0f} mm without that.')})
 
 
 def _earlier(recording: Recording, seconds: float) -> Recording:
@@ -239,8 +239,9 @@ def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterato
             _correlation_gap(whole, min(first_part, last_part)) > MIN_STEP_GAP):
         yield Finding('clock_shift', Level.ERROR, topic='both')
     elif late:
-        yield Finding('time_offset', Level.ERROR, {'late': late, 'offset': abs(late), 'side': (
-            'behind' if late > 0.0 else 'ahead of')}, 'tool')
+        yield Finding('time_offset', Level.ERROR, {
+            'late': late, 'size': f'about {abs(late):.2f} s',
+            'side': 'behind' if late > 0.0 else 'ahead of'}, 'tool')
 
 
 def _lag(tool: Trajectory, package: Trajectory) -> tuple[float, float]:
@@ -306,7 +307,7 @@ def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Findi
     before = np.array([step.before for step in steps])
     turns = np.linalg.norm(lie.log_so3(np.swapaxes(R[before], 1, 2) @ R[before + 1]), axis=1)
     *others, largest = sorted(steps, key=attrgetter('position'))
-    code, size = 'slipped', largest.position
+    code, size = 'slip', largest.position
     if turns.max() > MAX_SLIP_ANGLE:
         code, largest, size = 'turn', steps[np.argmax(turns)], float(turns.max())
     elif stream.timing.rate_hz < LOW_RATE_HZ or any(

@@ -205,7 +205,7 @@ def test_a_jump_of_the_package_is_a_slip_even_with_other_causes():
                      own.tool_twist)
     assert not remarks(own)
     (slip,) = remarks(jumped)
-    assert slip.code == 'slipped'
+    assert slip.code == 'slip'
     assert slip.numbers['size'] == pytest.approx(3e-3, rel=0.1)
     assert slip.numbers['at'] == pytest.approx((half - 1) / 240.0, abs=2e-3)
     package = jumped.report.package

@@ -167,7 +167,7 @@ def test_the_alignment_of_one_recording_serves_another_that_never_rests():
         prepare(stream(tool, '/tool', later), stream(package, '/package', later), settings)
 
 
-def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
+def test_steps_jitter_and_a_centre_of_mass_aside_are_warned_about():
     rng = np.random.default_rng(68)
     tool, package = (noisy(rng, poses, Noise()) for poses in held(68))
     step = displaced(tool, slice(4000, None), np.array([0.05, 0, 0]), np.zeros(3), False)
@@ -177,14 +177,10 @@ def test_steps_repeats_jitter_and_a_centre_of_mass_aside_are_warned_about():
     jump, aside = found.report.remarks
     assert (jump.code, jump.topic) == ('step', '/tool')
     assert (aside.code, aside.numbers) == ('com_aside', {'aside': pytest.approx(0.01)})
-    twice = np.arange(len(tool)) // 2 * 2
-    repeated = Trajectory(tool.stamps_ns, tool.position[twice], tool.rotation[twice])
-    (repeats,) = prepare(stream(repeated), stream(package, '/package'), PLAIN).report.remarks
-    assert repeats.code == 'repeats'
     late = tool.stamps_ns + rng.integers(0, 1_000_000, len(tool))
     jittered = Trajectory(late, tool.position, tool.rotation)
     (jitters,) = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.remarks
-    assert (jitters.code, jitters.topic) == ('arrivals', '/tool')
+    assert (jitters.code, jitters.topic) == ('jitter', '/tool')
 
 
 def test_poses_stamped_in_bursts_on_arrival_are_reported():
@@ -204,7 +200,7 @@ def test_poses_stamped_in_bursts_on_arrival_are_reported():
         fours * np.diff(package.stamps_ns).mean()).astype(np.int64))
     arrived = replace(sound.report.package, recorded=stream(four, '/package'))
     (found,) = remarks_on(arrived)
-    assert (found.code, found.level) == ('bursts', Level.ERROR)
+    assert (found.code, found.level) == ('jitter', Level.ERROR)
 
 
 def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
@@ -217,7 +213,7 @@ def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
         found = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.remarks
         codes = [remark.code for remark in found]
         assert codes.count('step') == steps
-        assert sum(code in ('jitter', 'arrivals') for code in codes) == 1
+        assert codes.count('jitter') == 1
 
 
 @pytest.mark.parametrize(('rate_hz', 'size', 'warned'), [
