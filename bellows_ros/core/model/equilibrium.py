@@ -4,6 +4,7 @@ Static equilibrium of the package, and its small motions about a state.
 Derivatives of the package's acceleration, modes, step sizes, and the static equilibrium.
 """
 
+from collections.abc import Callable
 import math
 from typing import Any, NamedTuple
 
@@ -12,8 +13,8 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
-from bellows_ros.core.model import jacobians, kernels
-from bellows_ros.core.model.kernels import Blocks, ModelTuple, ORIGIN, State
+from bellows_ros.core.model import kernels
+from bellows_ros.core.model.kernels import Blocks, ModelTuple, ORIGIN, State, Strain, Wrench
 from bellows_ros.errors import UnstableError
 import numpy as np
 
@@ -86,19 +87,22 @@ class Jacobian(NamedTuple):
 
 def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     """Return the derivatives of the package's acceleration about a state."""
-    of_body = jacobians.body_jacobians(model, tool, body)
-    of_tool = jacobians.tool_jacobians(model, tool, body)
-    return Jacobian(*map(_matrix, (*of_body, *of_tool)))
+    by_body = _slope(lambda e: kernels.body_acceleration(model, tool, moved_by(body, e)))
+    by_tool = _slope(lambda e: kernels.body_acceleration(model, moved_by(tool, e), body))
+    return Jacobian(by_body[:, :6], by_body[:, 6:], by_tool[:, :6], by_tool[:, 6:])
 
 
-def _matrix(square: jacobians.Square) -> Array:
-    """Return a 6x6 matrix of its blocks oo, oR, Ro, RR."""
-    return np.reshape(square, (2, 2, 3, 3)).transpose(0, 2, 1, 3).reshape(6, 6)
+def _slope(function: Callable[[Array], Wrench | Strain], size: int = 12) -> Array:
+    """Return the derivative (6, n) of a pair of vectors by n numbers, about zero."""
+    rows = [np.subtract(function(step), function(-step)).ravel()
+            for step in _DIFFERENCE * np.eye(size)]
+    return np.reshape(rows, (size, 6)).T / (2.0 * _DIFFERENCE)
 
 
 def symmetric_matrix(M: Blocks) -> Array:
     """Return K or P (6, 6) of its blocks."""
-    return _matrix((M[0], M[1], t3.transposed(M[1]), M[2]))
+    oo, oR, RR = np.reshape(M[:3], (3, 3, 3))
+    return np.block([[oo, oR], [oR.T, RR]])
 
 
 def nominal_system_matrix(model: ModelTuple) -> Array:
@@ -131,17 +135,16 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
     The state is displacement and twist of B in body axes; eigenvalues are the package's modes
     (rad/s). A cup that relaxes has 12 more states, its internal strains (24, 24).
     """
-    by = linearise(model, tool, body)
-    eye, none = np.eye(6), np.zeros((6, 6))
-    if len(body) == 4:
-        return np.block([[none, eye], [by.body_pose, by.body_twist]])
-    by_strain, strain_by_pose = map(_matrix, jacobians.strain_jacobians(model, tool, body))
-    (r, tau), (s, theta) = model[0][4:]
-    return np.block([
-        [none, eye, none, none],
-        [by.body_pose, by.body_twist, r * by_strain, s * by_strain],
-        [strain_by_pose / tau, none, -eye / tau, none],
-        [strain_by_pose / theta, none, none, -eye / theta]])
+    by, strains = linearise(model, tool, body), np.ravel(body[4:])
+    by_pose = _slope(lambda e: kernels.lip_strain(model, tool, moved_by(body, e)))[:, :6]
+    size = 12 + len(strains)
+    A = np.eye(size, k=6)
+    A[6:], A[6:12, :6], A[6:12, 6:12] = 0.0, by.body_pose, by.body_twist
+    A[6:12, 12:] = _slope(lambda e: kernels.body_acceleration(
+        model, tool, kernels.with_strains(body, kernels.strains_of(strains + e))), len(strains))
+    for k, (_, tau) in zip(range(12, size, 6), model[0][4:], strict=True):
+        A[k:k + 6, :6], A[k:k + 6, k:k + 6] = by_pose / tau, -np.eye(6) / tau
+    return A
 
 
 def sag(model: ModelTuple) -> float:

@@ -2,8 +2,8 @@
 The states of the filter: one table that defines all slices.
 
 The rows of the error have the names below: pose and twist of the package in its own axes, as in
-`jacobians`; parameters of the model, which change its motion; and errors of measured poses. All
-rows but the first four are the vector theta.
+`moved`; parameters of the model, which change its motion; and errors of measured poses. All rows
+but the first four are the vector theta.
 
 Logarithms s change K, P and the second moments of mass S = tr(I) / 2 - I along each axis, as exp(s
 / 2) M exp(s / 2). K and P then stay positive, and the package stays a possible body (Wensing, Kim

@@ -9,12 +9,10 @@ from bellows_ros.core.geometry.lie import (
     log_so3,
     quaternion_to_rotation,
 )
-from bellows_ros.core.geometry.tuples import unit
-from bellows_ros.core.model import equilibrium, jacobians, kernels
+from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import (
     advance,
-    lip_strain,
     lip_wrench,
     spring_wrench,
     tool_at,
@@ -26,8 +24,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .test_jacobians import Case, near, six_by_six
-from .. import cases, complex_step, oracle
+from .. import cases, oracle
 from ..cases import random_cup, random_package, random_pose, ShakenTool, state_of, still_tool
 
 GRAVITY = 9.81
@@ -194,62 +191,15 @@ def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
     assert_allclose(body.position[-1], hangs[0], atol=1e-10)
 
 
-def derivatives_case(seed, relaxes, stretch=(0.0, 0.0)):
-    """Return a case, its rows for the kernels, its strains, and its acceleration by all of it."""
-    case, rng = Case(seed, stretch), np.random.default_rng(seed)
-    r, z = R[:2 * relaxes], random_strains(rng)[:2 * relaxes]
-    model = ((*case.model[0], *zip(r, (0.06, 0.8), strict=False)), *case.model[1:])
-    rows = model, state_of(*case.tool), with_strains(state_of(*case.body), tuple(map(pair, z)))
-
-    def accelerate(numbers=case.numbers, tool=case.tool, body=case.body, r=r, strains=z):
-        return complex_step.acceleration(numbers, tool, body, r, strains)
-
-    return case, rows, z, accelerate
-
-
-@pytest.mark.parametrize('stretch', [(0.0, 0.0), (-2e4, -5.0)])
-@pytest.mark.parametrize('relaxes', [False, True])
-def test_accelerations_follow_states_and_parameters(relaxes, stretch):
-    case, rows, _, accelerate = derivatives_case(1, relaxes, stretch)
-    for name, state, derivatives in (('body', case.body, jacobians.body_jacobians),
-                                     ('tool', case.tool, jacobians.tool_jacobians)):
-        pose, twist = derivatives(*rows)
-        expected = complex_step.derivative(
-            lambda x, name=name, state=state: accelerate(
-                **{name: complex_step.changed(state, x)}), np.zeros(12))
-        near(six_by_six(pose), expected[:, :6], 1e-12)
-        near(six_by_six(twist), expected[:, 6:], 1e-12)
-    out = np.zeros((6, jacobians.PARAMETER_COLUMNS))
-    jacobians.parameter_jacobian(*rows, 0, jacobians.PARAMETER_COLUMNS, out)
-    expected = complex_step.derivative(accelerate, case.numbers)
-    for column in range(jacobians.PARAMETER_COLUMNS):
-        near(out[:, column], expected[:, column], 1e-11)
-
-
-def test_accelerations_follow_strengths_and_strains():
-    _, rows, z, accelerate = derivatives_case(0, True)
-    out = np.zeros((6, 2))
-    jacobians.relaxation_jacobian(*rows, out, 0)
-    near(out, complex_step.derivative(lambda r: accelerate(r=r), R), 1e-12)
-    by_strain, by_pose = map(six_by_six, jacobians.strain_jacobians(*rows))
-    expected = complex_step.derivative(
-        lambda x: accelerate(strains=x.reshape(2, 6)), z.ravel())
-    near(np.hstack([R[0] * by_strain, R[1] * by_strain]), expected, 1e-12)
-    zero = (0.0, 0.0, 0.0)
-    expected = np.transpose([np.subtract(*(np.hstack(lip_strain(*rows[:2], equilibrium.moved(
-        rows[2], unit(j, d), unit(j - 3, d), zero, zero))) for d in (1e-6, -1e-6))) / 2e-6
-        for j in range(6)])
-    near(by_pose, expected, 1e-8)  # central differences
-
-
 @pytest.mark.parametrize('relaxation', [(0.0, 0.0), R])
 def test_nominal_motions_are_those_of_the_linearised_model(relaxation):
     rng = np.random.default_rng(11)
     cup = replace(random_cup(rng), relaxation=relaxation)
     model = model_tuple(cup, random_package(rng), (1.0, -2.0, -9.0))
     tool = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    near(equilibrium.nominal_system_matrix(model), equilibrium.system_matrix(
-        model, tool, equilibrium.resting_on_tool(model, tool)), 1e-12)
+    expected = equilibrium.nominal_system_matrix(model)
+    found = equilibrium.system_matrix(model, tool, equilibrium.resting_on_tool(model, tool))
+    assert_allclose(found, expected, rtol=0, atol=1e-9 * expected.max())  # differences
 
 
 def test_modes_are_those_of_the_complex_stiffness():
