@@ -3,10 +3,12 @@
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
+import re
 import tomllib
 from typing import Any
 
 from bellows_ros.core.findings import Finding, Level
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.report.sentences import formatted
 
 
@@ -19,10 +21,14 @@ def facts() -> Mapping[str, Mapping[str, Any]]:
 def text(finding: Finding) -> str:
     """Return a finding as sentences: the fact, and of one that needs attention the remedy."""
     fact = facts()[finding.code]
-    numbers = {'share': '', 'errors': '', 'topic': finding.topic, **finding.numbers}
-    return ' '.join(
-        formatted(fact[part], **numbers)
-        for part in ('what', *['do'] * (finding.level > Level.OK)) if part in fact)
+    parts = ('what', 'do') if finding.level > Level.OK else ('what',)
+    return ' '.join(_sentence(finding, part) for part in parts if part in fact)
+
+
+def _sentence(finding: Finding, part: str) -> str:
+    """Return a part of a fact, '' for none, with the numbers of the finding; some are optional."""
+    return formatted(facts()[finding.code].get(part, ''), **{
+        'share': '', 'errors': '', 'cause': '', 'topic': finding.topic, **finding.numbers})
 
 
 def warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
@@ -37,9 +43,9 @@ def prevents(finding: Finding, use: str) -> bool:
 
 
 def sets(finding: Finding) -> list[str]:
-    """Return the parameters that correct a finding."""
-    found: list[str] = facts()[finding.code].get('sets', [])
-    return [name.format(topic=finding.topic) for name in found]
+    """Return the parameters that the remedy of a finding names."""
+    named = re.findall(r'[a-z_]+(?:\.[a-z_]+)+', _sentence(finding, 'do'))
+    return [name for name in dict.fromkeys(named) if name in PARAMETERS]
 
 
 def entry(finding: Finding) -> dict[str, Any]:

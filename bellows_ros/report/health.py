@@ -220,13 +220,13 @@ def prediction_finding(
             ('no_poses', phase == 'lost', Level.ERROR), ('tool_z', above, Level.ERROR),
             ('restarted', any(restarts.values()), Level.WARN),
             ('no_poses', phase == 'coasting', Level.WARN),
-            ('settling', phase == 'settling', Level.WARN),
             ('twists', not twists_fit, Level.WARN),
             ('no_equilibrium', not has_covariance, Level.WARN)):
         if applies:
             return fact(code, level, phase=phase.capitalize(), reasons=listed(restarts),
                         failures=restarts.get('failure', 0))
-    return fact('state', Level.OK, state=phase.capitalize())
+    level = Level.WARN if phase == 'settling' else Level.OK
+    return fact('state', level, state=phase.capitalize())
 
 
 def load_status(name: str, load: Load) -> Status:

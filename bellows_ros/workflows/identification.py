@@ -323,9 +323,6 @@ class Identification(CommandResult):
         yield from self._clocks()
         yield from self._freed_values()
         static = self.static
-        if static and self.fit.standstills:
-            count, chi2 = self.fit.standstills
-            yield Finding('with_standstills', Level.OK, {'count': count, 'chi2': chi2})
         if static and static.length:
             yield Finding('estimated', Level.OK, {
                 'bag': 'By the loads alone, ', 'values': length_sentence(static.length)},

@@ -21,6 +21,7 @@ from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import (
+    IN_DEGREES,
     noise_of,
     RecordedPoses,
     twist_errors,
@@ -345,7 +346,7 @@ def _with_roles(
     else:
         findings.append(Finding('needs_both_poses'))
     if in_degrees and twist:
-        findings.insert(0, Finding('twist_in_degrees', Level.WARN, {}, twist.topic))
+        findings.insert(0, Finding('twists', Level.WARN, {'cause': IN_DEGREES}, twist.topic))
     return Info(str(Path(path)), described, tool, package, twist, rest_s, settings,
                 tuple(findings))
 

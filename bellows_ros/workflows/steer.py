@@ -105,14 +105,13 @@ class SteerReport(CommandResult):
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the motion."""
         steered = self.steered
-        numbers = {
-            'scale': self.time_scale, 'limit': self.limit, 'method': steered.method,
-            'modes': len(steered.modes), 'residual': steered.residual,
-            'allowed': max(steering.ALLOWED_TIME, self.source.duration)}
-        shaping = 'shaped' if steered.method in steering.METHODS else 'unchanged'
-        return (*self.source.notes, *(
-            Finding(code, Level.OK, numbers)
-            for code, applies in (('slowed', self.time_scale > 1.0), (shaping, True)) if applies))
+        modes = f'{len(steered.modes)} mode{"s" * (len(steered.modes) != 1)}'
+        allowed = max(steering.ALLOWED_TIME, self.source.duration)
+        how = f'after {steered.method} of {modes}' if steered.method in steering.METHODS else (
+            f'in the unchanged motion, as no shaper leaves less within {allowed:.2g} s')
+        slowed = Finding('slowed', Level.OK, {'scale': self.time_scale, 'limit': self.limit})
+        return (*self.source.notes, *[slowed] * (self.time_scale > 1.0), Finding(
+            'shaped', Level.OK, {'residual': steered.residual, 'how': how}))
 
     @property
     def notes(self) -> tuple[str, ...]:

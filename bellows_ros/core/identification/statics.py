@@ -85,12 +85,13 @@ class CupLength(NamedTuple):
     def remarks(self) -> tuple[Finding, ...]:
         """Findings on the length."""
         count = self.degrees_of_freedom
-        numbers = {'size': float(np.sqrt(self.chi2 / max(count, 1))), 'std': self.length_std,
+        by = f'{1e3 * self.length_std:.2f} mm' if np.isfinite(self.length_std) else (
+            'an unknown amount, as only two masses were held')
+        numbers = {'size': float(np.sqrt(self.chi2 / max(count, 1))), 'by': by,
                    'load': float(self.loads.min())}
         return tuple(Finding(code, Level.WARN, numbers) for code, applies in (
             ('wrong_mass', count and chdtrc(count, self.chi2) < MIN_PROBABILITY),
-            ('two_masses', not np.isfinite(self.length_std)),
-            ('uncertain_length', MAX_LENGTH_STD < self.length_std < np.inf)) if applies)
+            ('uncertain_length', not self.length_std <= MAX_LENGTH_STD)) if applies)
 
 
 def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLength:

@@ -111,6 +111,9 @@ MIN_SIMILARITY = 0.95
 MAX_DIFFERENCE_RATIO = 0.25
 """Largest ratio of the dissimilarities of two rotations after and before a correction."""
 
+IN_DEGREES = ', but would with angles in degrees per second'
+"""Cause of twists that do not fit the poses."""
+
 MAX_UP = -0.5
 """Largest vertical component of the tool's z axis (median) that points out of the arm: 120 degrees
 from the vertical, beyond any tilt of a recording."""
@@ -434,10 +437,10 @@ def wrong_twists(poses: RecordedPoses) -> Iterator[Finding]:
         return
     errors, in_degrees = twist_errors(poses.tool, poses.twist)
     if in_degrees:
-        yield Finding('twist_in_degrees', Level.ERROR, topic=poses.twist.name)
+        yield Finding('twists', Level.ERROR, {'cause': IN_DEGREES})
     elif errors and errors[poses.twist_frame] > TWIST_TOLERANCE > min(errors.values()):
-        yield Finding('twist_frame', Level.ERROR, {
-            'axes': min(errors, key=lambda axes: errors[axes])})
+        axes = min(errors, key=lambda axes: errors[axes])
+        yield Finding('twists', Level.ERROR, {'cause': f', but would in axes of the {axes}'})
 
 
 def twist_errors(tool: PoseStream, twist: TwistStream) -> tuple[dict[str, float], bool]:

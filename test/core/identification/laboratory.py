@@ -406,7 +406,7 @@ FAULTS = {
     'low-pass of 10 Hz': (lambda own: setattr(own, 'low_pass_hz', 10.0), 'low_pass'),
     'packages exchanged': (lambda own: setattr(own, 'exchanged', True), 'package.files'),
     'twists in degrees': (lambda own: setattr(own, 'twist_unit', np.degrees(1.0)),
-                          'twist_in_degrees'),
+                          'twists'),
     'quaternions w first': (_quaternions, 'quaternions'),
     'occlusion beside a dropout': (lambda own: setattr(own, 'occluded', True), 'sound'),
     'play in torsion': (_play, 'unknown rz'),

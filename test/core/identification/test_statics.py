@@ -148,7 +148,7 @@ def test_tilted_standstills_and_repeated_masses_do_not_count():
     assert_allclose(two.length, 0.0481, atol=1e-9)
     assert len(two.coefficients) == 2 and two.degrees_of_freedom == 0
     assert np.isinf(two.length_std)
-    assert two.remarks[0].code == 'two_masses'
+    assert two.remarks[0].code == 'uncertain_length'
 
 
 @pytest.mark.parametrize('count', [3, 4, 5])
