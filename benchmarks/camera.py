@@ -6,8 +6,8 @@ from typing import Any
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import state_row
-from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.parameters.values import Values
 import numpy as np
 
 from .paths import shaken_tool
@@ -22,21 +22,21 @@ def run(short: bool) -> dict[str, Any]:
     states = [state_row(row[:3], row[3:7], row[7:]) for row in rows]
     result = {'pose without a camera': _follow(stamps, states, None)[0]}
     for name, alarms in (('', 1.0), (', no alarms', 0.0)):
-        observer = Observer(resolve({'alarm.false_per_hour': alarms}, ()))
         result['pose with one' + name], result['measured pose' + name] = _follow(
-            stamps, states, observer)
+            stamps, states, resolve({'alarm.false_per_hour': alarms}, ()))
     return {'seconds': {
         name: figures(times[len(times) // 4:]) for name, times in result.items()}}
 
 
 def _follow(
-    stamps: list[int], states: list[State], observer: Observer | None
+    stamps: list[int], states: list[State], values: Values | None
 ) -> tuple[list[float], list[float]]:
     """Return the times (s) of each pose and of each measured pose, measured as predicted."""
     live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
     live.expect_twists(True)
-    if observer is not None:
-        live.package.observe(observer)
+    if values is not None:
+        live.package.observer.use_values(values)
+        live.package.set_model(CUP, PACKAGE)
     poses, measured_times = [], []
     for k, (stamp_ns, (position, q, linear, angular)) in enumerate(
             zip(stamps, states, strict=True)):
@@ -44,7 +44,7 @@ def _follow(
         start = time.perf_counter()
         (prediction,) = live.on_pose(stamp_ns, 'world', position, q)
         poses.append(time.perf_counter() - start)
-        if observer is not None and k % 17 == 16:
+        if values is not None and k % 17 == 16:
             start = time.perf_counter()
             live.on_measured(stamp_ns, 'world', prediction.position, prediction.quaternion_xyzw)
             measured_times.append(time.perf_counter() - start)

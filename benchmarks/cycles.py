@@ -181,7 +181,7 @@ class Follower:
         of_camera = np.r_[pose_error((*self.newest, ZERO, ZERO), *true)] if (
             self.newest) else np.full(6, np.nan)
         P = self.live.covariance(prediction.stamp_ns) if (
-            with_covariance and self.live.package.observer) else None
+            with_covariance and self.has_camera) else None
         nees = np.nan if P is None else e @ np.linalg.solve(P[:6, :6], e)
         self.rows.append((phase, *e, *of_camera, nees))
 

@@ -75,19 +75,20 @@ def reader(kind: type) -> Callable[[bytes], Decoded]:
 
 
 def odometry(
-    frame_id: str, child_frame_id: str, prediction: Prediction, root: np.ndarray
+    frame_id: str, child_frame_id: str, prediction: Prediction, covariance: np.ndarray
 ) -> bytes:
     """
     Return pose and twist of the package with covariances (REP-103: row-major, xyz first).
 
-    The root (12, n) of the covariance is in body axes; the covariance of the pose is rotated into
-    world axes, the covariance of the twist remains in the axes of the child frame.
+    The covariance (12, 12) is in body axes; its part of the pose is rotated into world axes, its
+    part of the twist remains in the axes of the child frame.
     """
     return pack(
         messages.ODOMETRY, (frame_id, child_frame_id), prediction.stamp_ns,
         *prediction.position, *prediction.quaternion_xyzw,
-        *uncertainty.in_world_axes(root[:6], prediction.quaternion_xyzw).ravel().tolist(),
-        *prediction.linear, *prediction.angular, *(root[6:] @ root[6:].T).ravel().tolist())
+        *uncertainty.in_world_axes(
+            covariance[:6, :6], prediction.quaternion_xyzw).ravel().tolist(),
+        *prediction.linear, *prediction.angular, *covariance[6:, 6:].ravel().tolist())
 
 
 def payload_message(frame_id: str, payload: Payload) -> bytes:

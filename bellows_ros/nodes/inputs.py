@@ -329,8 +329,8 @@ class Observing:
         self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
 
     @property
-    def _observer(self) -> Observer | None:
-        """The observer that corrects the predictions, if any."""
+    def _observer(self) -> Observer:
+        """The observer that corrects the predictions."""
         return self._live.package.observer
 
     def _on_publishers(self, count: int) -> None:
@@ -414,9 +414,9 @@ class Observing:
         arrival_ns = self._measured_in.note(stamp_ns)
         self._pipeline.change(
             live.on_measured, stamp_ns, frame_id, *pose, covariance, arrival_ns)
-        if (observer := self._observer) is None:  # before the first pose of the tool
+        if live.newest_ns < 0:  # before the first pose of the tool
             return
-        if not observer.sensor.has_own_world:
+        if not self._observer.sensor.has_own_world:
             node.note_frame(
                 frame_id, self._measured_in.topic, 'its frame is that of the tool poses')
             if not same_frame(frame_id, live.frame_id):
@@ -430,7 +430,7 @@ class Observing:
 
     def _publish_payload(self) -> None:
         """Publish a newly estimated payload, if any."""
-        payload = self._observer.payload if self._observer else None
+        payload = self._observer.payload
         if payload is None or payload.stamp_ns == self._published_ns:
             return
         self._published_ns = payload.stamp_ns
@@ -463,7 +463,7 @@ class Observing:
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None before the first message."""
         observer, live = self._observer, self._live
-        if observer is None:
+        if self._measured_in.last_ns < 0 and not observer.has_sensor:
             return None
         counts, payload = observer.counts, observer.payload
         more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}

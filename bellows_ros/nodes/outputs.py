@@ -66,12 +66,6 @@ class Predicting:
         """Newest prediction of a held package."""
         return self.live.latest
 
-    @property
-    def uncertainty(self) -> uncertainty.Uncertainty:
-        """Covariance of a prediction."""
-        assert self.live.uncertainty
-        return self.live.uncertainty
-
     def compile_filter(self) -> None:
         """Compile the filter of covariances and measured poses, in a thread."""
         raise NotImplementedError
@@ -230,8 +224,9 @@ class Outputs:
     def _make_odometry(self, now: Prediction) -> bytes:
         """Return pose and twist, with large covariance while it is unknown."""
         is_known = now is not uncertainty.STILL and self._odometry.is_ready
-        root = self._shared.uncertainty.root(now) if is_known else uncertainty.UNKNOWN_ROOT
-        return odometry(self._shared.live.frame_id, *self._package_frame(), now, root)
+        P = self._shared.live.covariance(now.stamp_ns) if is_known else None
+        return odometry(self._shared.live.frame_id, *self._package_frame(), now,
+                        uncertainty.UNKNOWN if P is None else P)
 
     def _make_deflection(self, now: Prediction) -> bytes:
         """Return the lip relative to its place without load."""

@@ -198,11 +198,13 @@ class Pipeline(Predicting):
         if abs(stamp_ns - newest_ns) > OTHER_CLOCK_NS:
             stamp_ns = newest_ns
         held, grip, before = self.latest, self.load.grip, self.live.state
+        topic, covariance = self.outputs.landing, None
+        if held and topic.subscribed and topic.is_ready:
+            covariance = self.live.covariance(held.stamp_ns)
         self.change(self.live.on_valve, on, stamp_ns)
-        topic = self.outputs.landing
-        if held and self.live.state == RELEASED != before and topic.subscribed and topic.is_ready:
-            self.node.aside(self._land, held, grip, self.uncertainty.covariance(held),
-                            max(0, stamp_ns - held.stamp_ns))
+        if held and covariance is not None and self.live.state == RELEASED != before:
+            self.node.aside(
+                self._land, held, grip, covariance, max(0, stamp_ns - held.stamp_ns))
 
     def _land(
         self, held: Prediction, grip: Grip | None, covariance: Array, switched_ns: int

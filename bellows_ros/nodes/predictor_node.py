@@ -324,7 +324,7 @@ class Diagnostics:
         phase = live.phase(time.monotonic_ns())
         lines = [health.Status('prediction', health.prediction_finding(
             state, phase, restarts, live.tool.verdict != 'does_not_fit',
-            pipeline.uncertainty.available, above), {
+            live.package.has_covariance, above), {
                 'lifecycle': state, 'phase': phase, 'cup': pipeline.values.cup.name or 'cup.*',
                 **health.quantiles(
                     'compute time {} (us)', health.taken(pipeline.compute), 1e6),

@@ -540,11 +540,10 @@ def observed(
     """
     stream, pose = _measured_stream(bag, recording, values, topic)
     values = values.replaced({'recording.package_world': checks.pose_text(pose)})
-    observer, measured = Observer(values), _messages_of(stream)
+    measured = _messages_of(stream)
 
     live = live_predictor(values, signals)
-    live.package.observe(observer)
-    live.alarms = observer.alarms
+    observer = live.package.observer
     corrected = predicted_trajectory(live, messages, measured=measured, signals=signals)
     tool, package = compared_poses(recording)
     camera = _last_measured(observer, measured, package, package_of(values).com)

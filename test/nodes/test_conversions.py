@@ -145,8 +145,8 @@ def test_predictions_and_payloads_become_messages():
     now = STILL._replace(
         stamp_ns=1_700_000_000_987_654_321, position=(0.1, 0.2, 0.3),
         quaternion_xyzw=(0.5, -0.5, 0.5, -0.5), linear=(1.0, 2.0, 3.0), angular=(4.0, 5.0, 6.0))
-    root = np.diag(np.arange(1.0, 13.0))
-    message = deserialize_message(conversions.odometry('base', 'box', now, root), Odometry)
+    P = np.diag(np.square(np.arange(1.0, 13.0)))
+    message = deserialize_message(conversions.odometry('base', 'box', now, P), Odometry)
     assert (message.header.frame_id, message.child_frame_id) == ('base', 'box')
     assert conversions.stamp_to_ns(message.header.stamp) == now.stamp_ns
     assert now[1:5] == (

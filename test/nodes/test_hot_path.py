@@ -154,7 +154,7 @@ send(1)
 measured = pose_at(START + sent * STEP_NS + 100_000_000)
 partner.wait(lambda: pipeline.observing.is_ready)
 measured_out.publish(measured)
-partner.wait(lambda: predictor.pipeline.live.package.observer)
+partner.wait(lambda: predictor.pipeline.live.package.observer.has_sensor)
 def measured_again():
     send(1)
     measured_out.publish(pose_at(START + sent * STEP_NS, (1e-3 * (sent % 7), 0.0, -0.08)))
@@ -178,7 +178,7 @@ def answered_all():
 partner.wait(answered_all)
 answered.append(joints)
 pipeline.observing.is_ready = False  # also for those on their way
-pipeline.live.package.observer = None
+pipeline.live.package.observer.has_sensor = False
 set_on(predictor, 'package.size', [0.2, 0.1, 0.1])
 send(2)
 needed_later = sorted(set(needed))

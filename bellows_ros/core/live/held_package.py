@@ -1,20 +1,24 @@
 """State of the held package: start at rest, propagation with the tool, extrapolation."""
 
-from functools import partial
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live.uncertainty import Modes, modes_of, Prediction, RETRY_NS, Settling
+from bellows_ros.core.live.uncertainty import (
+    coasting,
+    Modes,
+    modes_of,
+    Prediction,
+    Settling,
+    UNKNOWN,
+)
 from bellows_ros.core.model import equilibrium, kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
-from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
-from bellows_ros.core.observer.correction import Correction
+from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.observer import Observer
-from bellows_ros.core.observer.pose_sensor import Measurement, PoseSensor
+from bellows_ros.core.observer.pose_sensor import Measurement
 from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.parameters.conversion import package_of, stated_std
@@ -24,24 +28,11 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
 
+RETRY_NS = 100_000_000
+"""Time until a failed start is repeated, ns, because an equilibrium takes milliseconds."""
+
 MIN_STEP = 1e-6
 """Shortest integration step of a live prediction, s."""
-
-
-@entry
-def advance_and_hold(
-    row: Any, law: LawTuple, body: State, before: State, now: State,
-    duration: float, substeps: int, reach: float,
-) -> tuple[State, Wrench, bool]:
-    """
-    Return the package at the newest tool sample, and the result of `kernels.checked_wrench`.
-
-    The model is given as for `kernels.model_of`.
-    """
-    model = kernels.model_of(row, law)
-    body = kernels.advance(model, body, before, now, duration, substeps)
-    wrench, is_sound = kernels.checked_wrench(model, now, body, reach)
-    return body, wrench, is_sound
 
 
 def prepared(
@@ -114,6 +105,8 @@ class HeldPackage:
     cup, package : Cup, Package
     gravity : float or array_like (3,)
         Magnitude along -z of the world, or vector in the world, m/s^2.
+    values : mapping
+        Parameters of the observer.
 
     Attributes
     ----------
@@ -121,15 +114,17 @@ class HeldPackage:
         Fault of the last call: 'diverged', 'no_equilibrium', or ''.
     sample : Sample or None
         Newest sample, from which the package is advanced.
-    observer : Observer or None
-        Observer that corrects the package, if its pose is measured.
+    has_covariance : bool
+        Whether the last covariance was not `UNKNOWN`.
+    observer : Observer
+        Observer that propagates the package, and corrects it with measurements.
 
     """
 
-    def __init__(self, cup: Cup, package: Package, gravity: ArrayLike) -> None:
+    def __init__(self, cup: Cup, package: Package, gravity: ArrayLike, values: Values) -> None:
         self._gravity = gravity
         self.settling = Settling()
-        self.observer: Observer | None = None
+        self.observer, self.has_covariance = Observer(values), True
         self.sample: Sample | None = None
         self.set_model(cup, package)
         self.forget()
@@ -137,59 +132,57 @@ class HeldPackage:
     @property
     def model(self) -> ModelTuple:
         """The model as the kernels take it."""
-        return self._model if self.observer is None else self.observer.model
+        return self.observer.model
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether an error of the start remains."""
+        return self.sample is not None and self.sample.stamp_ns < self.settling.until_ns
 
     def set_model(self, cup: Cup, package: Package) -> None:
         """Continue with another cup or package; pose and motion are kept."""
-        self._model, self._longest_step, self._reach, self.settling.modes = prepared(
+        model, longest_step, self._reach, self.settling.modes = prepared(
             cup, package, self._gravity)
-        self._row, self._law = kernels.model_row(self._model), kernels.law_of(self._model)
         self._retry_ns = -1
+        self.observer.set_model(model, longest_step, self._reach)
         if self.sample is not None:
             stamp_ns, tool, body = self.sample
-            self.sample = Sample(stamp_ns, tool, equilibrium.adapted(self._model, tool, body))
-        if self.observer is not None:
-            self.observe(self.observer)
+            self.sample = Sample(stamp_ns, tool, equilibrium.adapted(model, tool, body))
+            self._begin()
 
-    def filter_with(self, values: Values) -> Correction:
-        """Return the filter of this cup and package with the stated errors of parameters."""
-        return Correction(values, PoseSensor(values).marker, self._model, self._longest_step,
-                          self._reach)
-
-    def observe(self, observer: Observer) -> None:
-        """Let an observer correct the package from now on."""
-        observer.set_model(self._model, self._longest_step, self._reach)
-        if self.sample is not None:
-            observer.start(*self.sample, self.settling.since(self.sample.stamp_ns))
-        self.observer = observer  # last, as other threads read its model
+    def _begin(self) -> None:
+        """Let the observer begin with the newest sample."""
+        assert self.sample
+        self.observer.start(*self.sample)
+        if self.settling.is_known:
+            self.observer.settle(self.settling.error_at)
 
     def correct(self, measurement: Measurement, since_ns: int = 0) -> None:
         """Correct the package with a measured pose, some time (ns) after the newest sample."""
-        observer, sample = self.observer, self.sample
-        if observer is None or observer.update(measurement, since_ns):
-            return
-        if sample is not None:
-            self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
+        if not self.observer.update(measurement, since_ns):
+            self._use_corrected()
 
     def feel(self, stamp_ns: int, wrench: Wrench, in_world: bool) -> str:
         """Correct the package with a wrench in sensor or world axes; return why not, or ''."""
         observer, sample = self.observer, self.sample
-        if observer is None or sample is None:
+        if sample is None:
             return 'not_held'
         if in_world:
             force, moment = (observer.wrenches.in_own_axes(sample.tool, each) for each in wrench)
             wrench = force, moment
         verdict = observer.on_wrench(stamp_ns, wrench)
-        if observer.body is not sample.body:
-            self.sample = Sample(sample.stamp_ns, sample.tool, observer.body)
+        self._use_corrected()
         return verdict
+
+    def _use_corrected(self) -> None:
+        """Continue with the package of the observer."""
+        if self.sample is not None:
+            self.sample = self.sample._replace(body=self.observer.body)
 
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
         """Restart from rest at the next tool sample, with the estimates in given rows kept."""
-        if self.observer is not None:
-            self.observer.forget(kept)
+        self.observer.forget(kept)
         self.sample = None
-        self.settling.clear()
         self._retry_ns = -1
         self.outcome = ''
 
@@ -207,23 +200,20 @@ class HeldPackage:
             Pose and body twist of the tool at the stamp.
 
         """
-        self.outcome = ''
-        last = self.sample
+        self.outcome, last, observer = '', self.sample, self.observer
         if last is None:
             return self._start(stamp_ns, now)
         result = self._advanced(
             last.body, before or last.tool, now, (stamp_ns - last.stamp_ns) / NS_PER_S, stamp_ns)
         if result is None:
             self.outcome = 'diverged'
-            if self.observer is not None:
-                self.observer.forget(SAME_PACKAGE)
+            observer.forget(SAME_PACKAGE)
             return self._start(stamp_ns, now)
         body, (force, moment) = result
         self.sample = Sample(stamp_ns, now, body)
-        covariance = None if self.observer is None else partial(
-            self.observer.covariance, stamp_ns)
-        return Prediction(stamp_ns, *body[:4], force, moment, now, False,
-                          self.settling.update(stamp_ns, now), covariance, body[4:])
+        if self.settling.update(stamp_ns, now):
+            observer.settle(self.settling.error_at)
+        return Prediction(stamp_ns, *body[:4], force, moment, now, strains=body[4:])
 
     def coast(self, stamp_ns: int) -> Prediction | None:
         """
@@ -240,8 +230,19 @@ class HeldPackage:
         if result is None:
             return None
         body, (force, moment) = result
-        return Prediction(stamp_ns, *body[:4], force, moment, tool, True, self.settling.now,
-                          strains=body[4:])
+        return Prediction(stamp_ns, *body[:4], force, moment, tool, True, body[4:])
+
+    def covariance(self, stamp_ns: int, is_coasting: bool) -> Array | None:
+        """Return the 12 by 12 covariance of a prediction; `UNKNOWN` if rounding spoils it."""
+        since_ns = self.sample.stamp_ns if self.sample and is_coasting else stamp_ns
+        try:
+            P = self.observer.covariance(since_ns)
+            if P is not None:
+                self.has_covariance = bool(np.isfinite(np.linalg.cholesky(P)).all())
+                P = P + coasting((stamp_ns - since_ns) / NS_PER_S)
+        except (BellowsError, ArithmeticError, ValueError):  # indefinite by rounding
+            self.has_covariance = False
+        return P if self.has_covariance else UNKNOWN
 
     def _advanced(
         self, body: State, start: State, end: State, duration: float, stored_ns: int = 0
@@ -249,21 +250,17 @@ class HeldPackage:
         """
         Return package and wrench after the tool's step, or None if they are not finite.
 
-        An observer stores the package at a given stamp (ns).
+        The observer stores the package at a given stamp (ns).
         """
-        longest = self._longest_step if self.observer is None else self.observer.max_step
-        substeps = equilibrium.substeps_for(duration, longest)
-        if substeps > MAX_SUBSTEPS:
+        observer = self.observer
+        if equilibrium.substeps_for(duration, observer.max_step) > MAX_SUBSTEPS:
             return None
         try:
-            if self.observer is None:
-                body, wrench, sound = advance_and_hold(
-                    self._row, self._law, body, start, end, duration, substeps, self._reach)
-            elif stored_ns and (estimate := self.observer.follow(stored_ns, start, end)):
+            if stored_ns and (estimate := observer.follow(stored_ns, start, end)):
                 body, wrench, sound = estimate
             else:
-                body = (self.observer.body if stored_ns
-                        else self.observer.propagated_briefly(body, start, end, duration))
+                body = (observer.body if stored_ns
+                        else observer.propagated_briefly(body, start, end, duration))
                 wrench, sound = kernels.checked_wrench(self.model, end, body, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise instead of nan
             return None
@@ -286,8 +283,6 @@ class HeldPackage:
             return None
         self.outcome, self._retry_ns = outcome, -1
         self.sample = Sample(stamp_ns, tool, body)
-        if self.observer is not None:
-            self.observer.start(*self.sample)
         self.settling.begin(stamp_ns, tool)
-        return Prediction(stamp_ns, *body[:4], *wrench, tool, False, self.settling.now,
-                          strains=body[4:])
+        self._begin()
+        return Prediction(stamp_ns, *body[:4], *wrench, tool, strains=body[4:])

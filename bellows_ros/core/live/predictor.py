@@ -20,7 +20,7 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED, Signal
 from bellows_ros.core.live.held_package import HeldPackage, stated_payload
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
-from bellows_ros.core.live.uncertainty import Prediction, Uncertainty
+from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.live.vacuum import ALL, check_live, Load, Vacuum
 from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
@@ -28,7 +28,6 @@ from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.simulation import trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.observer.states import CAMERA_ROWS, SAME_PACKAGE
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve, with_chosen_cup
@@ -117,8 +116,6 @@ class LivePredictor:
         Newest prediction of a held package.
     load : Load or None
         Safety factor of the grip, and distance from the validity range.
-    uncertainty : Uncertainty or None
-        Covariance of predictions without measured poses.
     vacuum : Vacuum
         Pressures by cup.
     lost_cups : set of int
@@ -128,7 +125,7 @@ class LivePredictor:
     tool : ToolMotion
         Pose and twist of the tool, and the check of its twists.
     package : HeldPackage
-        State of the package, and the observer that corrects it, if any.
+        State of the package, and the observer that corrects it.
     arrivals : ToolArrivals
         Arrivals of accepted poses.
     attached : bool
@@ -161,7 +158,7 @@ class LivePredictor:
         self._screen, self._twist_frame = Screen(), Frame()
         self.pairing, self.arrivals = Pairing(), ToolArrivals()
         self.tool = ToolMotion(twist_frame == 'world')
-        self.package = HeldPackage(cup, package, gravity)
+        self.package = HeldPackage(cup, package, gravity, resolve({}, ()))
         self.coast_limit_ns = coast_limit_ns
         self._counts = dict.fromkeys(REFUSALS, 0)
         self.restarts = dict.fromkeys(RESTARTS, 0)
@@ -169,11 +166,10 @@ class LivePredictor:
         self.predictions = self.twists_estimated = self.coasted = 0
         self.attached, self._twists_expected = True, False
         self._cycle, self._held_cups = Cycle(True), dict[int, bool]()
-        self.alarms: list[Alarm] = []
+        self.alarms: list[Alarm] = self.package.observer.alarms
         self.values = self._given = Values({})
         self.vacuum, self.lost_cups = Vacuum(), set[int]()
         self.load: Load | None = None
-        self.uncertainty: Uncertainty | None = None
         self.latest: Prediction | None = None
         self._unsafe_ns, self._moved_ns = -1, -STOPPED_NS
         self._begun_ns: int | None = None
@@ -274,7 +270,7 @@ class LivePredictor:
         observer, load, latest = self.package.observer, self.load, self.latest
         return (self.state in ON_CUP and self.alarm is None and not self.is_above
                 and load is not None and load.grip is not None and not self.vacuum.fault
-                and not (observer is not None and observer.departs_from_file)
+                and not observer.departs_from_file
                 and self.newest_ns >= max(self._unsafe_ns, self._trusted_ns)
                 and latest is not None and self._begun_ns is not None
                 and latest.stamp_ns - self._begun_ns >= PROVEN_NS
@@ -301,15 +297,13 @@ class LivePredictor:
             return None
         newest, observer = self.alarms[-1], self.package.observer
         lasts = self.state == LOST if newest.kind == LOST and newest.cup < 0 else (
-            self.newest_ns - newest.stamp_ns < ALARM_DURATION_NS
-            or (observer is not None and observer.departs_from_file))
+            self.newest_ns - newest.stamp_ns < ALARM_DURATION_NS or observer.departs_from_file)
         return newest if lasts else None
 
     @property
     def payload(self) -> Payload | None:
         """Mass, centre of mass and inertia with standard deviations: estimated, or as stated."""
-        observer = self.package.observer
-        if observer is not None and (estimated := observer.payload):
+        if estimated := self.package.observer.payload:
             return estimated
         return stated_payload(self.values, self.newest_ns) if self.values else None
 
@@ -321,12 +315,11 @@ class LivePredictor:
         body axes. The covariance is available for the newest prediction, and with measured poses
         for the last 0.5 s.
         """
-        if self.latest is None or self.uncertainty is None:
+        latest = self.latest
+        if latest is None:
             return None
-        if self.latest.stamp_ns != stamp_ns:
-            observer = self.package.observer
-            return None if observer is None else observer.covariance(stamp_ns)
-        return self.uncertainty.covariance(self.latest)
+        return self.package.covariance(
+            stamp_ns, latest.coasting and stamp_ns == latest.stamp_ns)
 
     def phase(self, arrival_ns: int) -> str:
         """
@@ -345,7 +338,7 @@ class LivePredictor:
             return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
         if not has_package:
             return 'lost'
-        return 'settling' if self.package.settling.now else 'predicting'
+        return 'settling' if self.package.is_settling else 'predicting'
 
     # ---------------------------------------------------------------- control
 
@@ -377,12 +370,10 @@ class LivePredictor:
         if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # otherwise no cup holds
             values = values.replaced({'cup.open': tuple(opened)})
         self.values = values
-        if self.package.observer is not None:
-            self.package.observer.use_values(values)
+        self.package.observer.use_values(values)
         self.package.set_model(cup_of(values), package_of(values))
         self.load = Load(
             values, self.load.pressure if self.load else None, self.vacuum.of_cups)
-        self.uncertainty = Uncertainty(self.package.filter_with(values))
         self.coast_limit_ns = round(values.coast.limit * NS_PER_S)
 
     def reset(self, reason: str = '') -> None:
@@ -423,7 +414,7 @@ class LivePredictor:
             self.package.forget()
             self.arrivals.clear()
         self.attached, self.latest, self._begun_ns = attached, None, None
-        if is_next and self.package.observer is not None:
+        if is_next:
             self.package.observer.grip()
         if attached and self.lost_cups:  # the next package may be held by them
             self.lost_cups.clear()
@@ -464,15 +455,13 @@ class LivePredictor:
         stamp_ns = self.newest_ns if stamp_ns is None else stamp_ns
         observer = self.package.observer
         moves = self.newest_ns - self._moved_ns < STOPPED_NS
-        if observer is not None:
-            breaks = self._held_cups.get(cup, False) and not held
-            observer.on_vacuum(held, breaks and self.state in ON_CUP, moves, cup)
+        breaks = self._held_cups.get(cup, False) and not held
+        observer.on_vacuum(held, breaks and self.state in ON_CUP, moves, cup)
         self._held_cups[cup] = held
         if cup == ALL:
-            before, patience_ns = self.state, observer.patience_ns if observer else 0
-            self._cycle.on_vacuum(
-                held, stamp_ns, moves or (observer is not None and observer.departs),
-                patience_ns and patience_ns + FALL_NS)
+            before, patience_ns = self.state, observer.patience_ns
+            self._cycle.on_vacuum(held, stamp_ns, moves or observer.departs,
+                                  patience_ns and patience_ns + FALL_NS)
             self._follow_cycle(before, stamp_ns)
         self._note_alarms()
 
@@ -518,8 +507,7 @@ class LivePredictor:
             self.use(self._given)
         if any(alarm.kind == LOST and alarm.cup < 0 for alarm in new) and self.state in ON_CUP:
             self._cycle.end(LOST)
-            observer = self.package.observer
-            self._used_at_loss = observer.counts['used'] if observer is not None else 0
+            self._used_at_loss = self.package.observer.counts['used']
             if not (self._cycle.valve is self._cycle.vacuum is None):  # they show the next package
                 self._attach(False)
 
@@ -609,8 +597,7 @@ class LivePredictor:
             Arrival on the clock of `on_pose`.
 
         """
-        if (observer := self._observing()) is None:
-            return
+        observer = self.package.observer
         (x, y, z), (qx, qy, qz, qw) = position, quaternion_xyzw
         position, quaternion_xyzw = (x, y, z), (qx, qy, qz, qw)
         measurement = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
@@ -650,7 +637,7 @@ class LivePredictor:
         """
         if not math.isfinite(sum(force) + sum(moment)):
             return 'nan'
-        if self._observing() is None:
+        if self.newest_ns < 0:
             return 'not_held'
         if stamp_ns - self.newest_ns > MAX_AHEAD_NS:
             return 'future_stamp'
@@ -662,18 +649,7 @@ class LivePredictor:
     @property
     def wrench_fault(self) -> str:
         """Fault in the set-up of the force-torque sensor, or ''; its wrenches are then ignored."""
-        observer = self.package.observer
-        return '' if observer is None else observer.wrenches.set_up.fault
-
-    def _observing(self) -> Observer | None:
-        """Return the observer; the first measurement after a tool pose creates it."""
-        if self.package.observer is None and self.values and self.newest_ns >= 0:
-            observer = Observer(self.values)
-            observer.alarms = self.alarms
-            self.package.observe(observer)
-            if self._cycle.follows and self.state in ON_CUP:
-                observer.grip(None if self.state == GRIPPED else self._cycle.lowest)
-        return self.package.observer
+        return self.package.observer.wrenches.set_up.fault
 
     def flush(self) -> list[Prediction]:
         """Predict for all waiting poses, without their twists."""
@@ -727,13 +703,13 @@ class LivePredictor:
 
     def _on_tool(self, stamp_ns: int, position: Vector | None = None) -> None:
         """Update the state of the package by time and the tool's motion."""
-        cycle, observer = self._cycle, self.package.observer
+        cycle = self._cycle
         before = cycle.state
         if before == GRIPPED and position is not None:
             gravity = self.model[2]
             cycle.on_height(-sum(map(mul, position, gravity)) / math.hypot(*gravity))
         if cycle.is_due(stamp_ns):
-            cycle.decide(observer is not None and observer.departs)
+            cycle.decide(self.package.observer.departs)
         self._follow_cycle(before, stamp_ns)
 
     def watch(self, prediction: Prediction) -> tuple[float, float] | None:

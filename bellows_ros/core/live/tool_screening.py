@@ -42,6 +42,9 @@ JUMP_TOLERANCE = (0.02, 0.2)
 JITTER = 0.025
 """Largest error of stamps, s, as of bursts of messages that are stamped on arrival."""
 
+MAX_STAMP_NS = 2**31 * NS_PER_S
+"""End of the stamps of a header, whose seconds have 32 bits, ns."""
+
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
 
@@ -252,6 +255,8 @@ class Screen(StampScreen):
             return reason
         if stamp_ns <= 0:
             return 'zero_stamp'
+        if stamp_ns >= MAX_STAMP_NS:
+            return 'future_stamp'
         before = self.frame.name
         if not self.frame.accepts(frame_id or None, stamp_ns):
             return 'frame_id'

@@ -302,15 +302,14 @@ def check_live(values: Values) -> None:
             f'expected at least {SMALLEST_TAG:g}. Set it to the side of the black square of the '
             'tag, in m.')
     conversion.release_law_of(values)  # a contradiction would only show at the first release
-    cup, package = conversion.cup_of(values), conversion.package_of(values)
-    payload = HeldPackage(cup, package, conversion.gravity_of(values))
-    model = payload.model
+    held = (conversion.cup_of(values), conversion.package_of(values),
+            conversion.gravity_of(values), values)
     load = Load(values, AMBIENT)  # compiled also before a vacuum is measured
     try:
         with np.errstate(all='ignore'):
+            model = HeldPackage(*held).model
             load.watch_force(model, STILL)
             load.watch_deflection(model, STILL)
-            payload.filter_with(values)
             equivalent_box(values)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(

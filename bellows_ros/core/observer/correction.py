@@ -74,6 +74,9 @@ errors."""
 TOOL_LATENCY = 5e-3
 """Largest delay of the tool's poses, s."""
 
+HUNG_NS = 1_000_000_000
+"""Time at rest before a start, in which the errors of cup and package displace it, ns."""
+
 HANGING_SAMPLES = 100
 """Number of tool samples whose white noise is averaged for a hanging package."""
 
@@ -214,15 +217,16 @@ class Correction:
             P[:STATE, :STATE] = np.diag(np.square(ON_SUPPORT))
         return Estimate(stamp_ns, tool, body, theta, P, memory)
 
-    def after_hanging(self, estimate: Estimate, hung_ns: int) -> Estimate:
-        """Return the first estimate of a package that was predicted for some time (ns)."""
-        since_ns, track = estimate.stamp_ns - hung_ns, Track()
+    def after_hanging(self, estimate: Estimate) -> Estimate:
+        """Return the first estimate of a package that has hung at rest, with an exact model."""
+        since_ns, track, P = estimate.stamp_ns - HUNG_NS, Track(), estimate.covariance.copy()
         still: State = *estimate.tool[:2], ZERO, ZERO
         body: State = *estimate.body[:2], ZERO, ZERO, *estimate.body[4:]
-        track.begin(since_ns)
+        track.begin(since_ns, still, body)
         for k in range(1, HANGING_SAMPLES + 1):
-            track.add(since_ns + k * hung_ns // HANGING_SAMPLES, still, still, body)
-        before = estimate._replace(stamp_ns=since_ns, tool=still, body=body)
+            track.add(since_ns + k * HUNG_NS // HANGING_SAMPLES, still, still, body)
+        P[:STATE, :] = P[:, :STATE] = 0.0
+        before = estimate._replace(stamp_ns=since_ns, tool=still, body=body, covariance=P)
         return estimate._replace(
             covariance=self.propagated(before, track, estimate.stamp_ns).covariance)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Callable
 from itertools import pairwise
 import math
 
@@ -17,7 +18,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
-from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.model.simulation import body_row, row_state
 from bellows_ros.core.observer import alarms, dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm, DIFFERS, LOST
@@ -98,6 +99,8 @@ class Observer:
         Numbers of used and restarting measurements, and of rejected ones by `VERDICTS`.
     alarms : list of Alarm
         Detected faults.
+    has_sensor : bool
+        Whether a measured pose or a wrench has arrived.
     max_step : float
         Longest stable step of the estimated model, s.
 
@@ -110,11 +113,13 @@ class Observer:
         self._set_values(values)
         self.counts = dict.fromkeys(('used', 'recovered', *VERDICTS), 0)
         self.alarms: list[Alarm] = []
+        self.has_sensor = False
         self._track, self._support = Track(), Support()
         self._estimates: list[Estimate] = []  # the oldest, and one after each measurement
         self._measurements: list[Measurement] = []
         self._pending: list[Measurement] = []  # newer than the tool
         self._newest: Estimate | None = None  # at the newest sample, if requested
+        self._error_at: Callable[[int], Array] | None = None  # of a start
         self._delay_ns = 0  # of the newest measurement at its arrival
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # stamp, whether it holds, and period
@@ -137,7 +142,7 @@ class Observer:
         if before is not None and before.nominal[0] == model[0]:
             rows += CUP_ROWS
         self._watch = Watch(self._correction.weight)
-        self._begin_with(rows if before else ())
+        self._begin_with(rows if self.has_sensor else ())
         gravity = model[2] if any(model[2]) else (0.0, 0.0, -1.0)
         self._support.use(t3.scale(-1.0 / t3.norm(gravity), gravity), sag(model))
 
@@ -164,6 +169,7 @@ class Observer:
         self._known = known
         for each in (self._estimates, self._measurements, self._pending):
             each.clear()
+        self._track.count = 0
         self._newest = None
         self._watch.clear()
         self.wrenches.clear()
@@ -195,10 +201,12 @@ class Observer:
     @property
     def estimate(self) -> Estimate | None:
         """The estimate at the newest sample of the tool."""
-        if not self._estimates:
+        if not self._begin_estimates():
             return None
         self._newest = self._at(
             self._newest or self._estimates[-1], self._track.newest_ns)
+        if not self.has_sensor:
+            self._estimates[0] = self._newest  # no measurement can change it
         return self._correction.with_noise_of_sample(self._newest)
 
     def _at(self, estimate: Estimate, stamp_ns: int) -> Estimate:
@@ -221,22 +229,45 @@ class Observer:
     @property
     def payload(self) -> Payload | None:
         """The estimated payload, if any."""
-        if not self._estimates or not self._values.payload.estimate:
+        if not (self.has_sensor and self._values.payload.estimate and self._begin_estimates()):
             return None
         return payload_of(self._estimates[-1], self.model)
 
     # ---------------------------------------------------------------- the tool
 
-    def start(self, stamp_ns: int, tool: State, body: State, hung_ns: int = 0) -> None:
-        """Begin with a package that has been at rest for some time (ns)."""
-        self._track.begin(stamp_ns)
+    def start(self, stamp_ns: int, tool: State, body: State) -> None:
+        """Begin with a package at rest, or in a known motion."""
+        self._track.begin(stamp_ns, tool, body)
         self._measurements.clear()
+        self._estimates.clear()
+        self._newest = self._error_at = None
         self._support.follow(stamp_ns, tool)
-        self._estimates = [self._correction.start(
-            stamp_ns, tool, body, self._known, self._support.is_near)]
-        if hung_ns:
-            self._estimates[0] = self._correction.after_hanging(self._estimates[0], hung_ns)
-        self.body, self._candidate, self._since_ns = body, self._estimates[0], stamp_ns
+        self.body = body
+
+    def settle(self, error_at: Callable[[int], Array]) -> None:
+        """
+        Begin with an error of a start under a moving tool, unless poses have shown the package.
+
+        The function returns the standard deviations (12,) of the state at a stamp (ns).
+        """
+        if not self._measurements:
+            self._estimates.clear()
+            self._newest, self._error_at = None, error_at
+
+    def _begin_estimates(self) -> bool:
+        """Return whether there are estimates; they begin with the oldest sample when needed."""
+        if self._estimates or not self._track.count:
+            return bool(self._estimates)
+        stamps, _, ends, bodies = self._track.rows
+        stamp_ns, is_near = int(stamps[0]), self._support.at(int(stamps[0])) > 0
+        first = self._correction.start(stamp_ns, row_state(ends[0]), body_row(
+            bodies[0], self.body), self._known, is_near)
+        if self._error_at and not is_near:
+            first = self._correction.after_hanging(first)
+            first.covariance[:STATE, :STATE] += np.diag(np.square(self._error_at(stamp_ns)))
+        self._estimates.append(first)
+        self._candidate, self._since_ns = first, stamp_ns
+        return True
 
     def follow(
         self, stamp_ns: int, start: State, end: State
@@ -248,7 +279,8 @@ class Observer:
         measured pose of this interval has corrected the package meanwhile.
         """
         track, correction = self._track, self._correction
-        track.discard_before(self._estimates[0].stamp_ns)
+        track.discard_before(self._estimates[0].stamp_ns if self._estimates
+                             else stamp_ns - MAX_DELAY_NS)
         prediction: tuple[State, Wrench, bool] | None = ekf.followed(
             correction.row, correction.law, self._theta, self.body, track.samples,
             stamp_ns, start, end, correction.max_step, correction.reach)
@@ -256,16 +288,18 @@ class Observer:
         self.body = prediction[0]
         track.advance(stamp_ns)
         event = self._support.follow(stamp_ns, end)
+        if not self._estimates:
+            return prediction
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
             self._reprocess(len(self._measurements) - 1)
-        if event == 'meets':
+        if event == 'meets' and self.has_sensor:
             prediction, at = None, bisect_left(self._measurements, (stamp_ns + 1,))
             self._measurements.insert(
                 at, NO_MEASUREMENT._replace(stamp_ns=stamp_ns, meets_support=True))
             self._reprocess(at)
-        elif self._has_left:
+        elif event == 'leaves' and self._has_left:
             self._predict_from(self._correction.released(self._estimates[-1]))
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
@@ -297,8 +331,8 @@ class Observer:
 
     def update(self, measurement: Measurement, since_ns: int = 0) -> str:
         """Process a measured pose, some time (ns) after the newest sample; return a rejection."""
-        stamp_ns, verdict = measurement.stamp_ns, ''
-        newest_ns = self._track.newest_ns if self._estimates else 0
+        stamp_ns, verdict, self.has_sensor = measurement.stamp_ns, '', True
+        newest_ns = self._track.newest_ns if self._begin_estimates() else 0
         is_ahead = stamp_ns > newest_ns
         others = self._pending if is_ahead else self._measurements
         at = bisect_left(others, (stamp_ns,))
@@ -365,7 +399,8 @@ class Observer:
     def on_wrench(self, stamp_ns: int, wrench: Wrench) -> str:
         """Process a wrench (N, N m) of the sensor in its axes; return a rejection."""
         stamp_ns, newest_ns = self.wrenches.add(stamp_ns, wrench), self._track.newest_ns
-        if not self._estimates or not stamp_ns:
+        self.has_sensor = True
+        if not self._begin_estimates() or not stamp_ns:
             return 'late' if self._estimates else 'not_held'
         self._watch_wrench(stamp_ns)
         if self._estimates[-1].stamp_ns + BLOCK_NS <= stamp_ns <= newest_ns:
@@ -527,8 +562,8 @@ class Observer:
             before_ns, was_held, _ = self._vacuum or (0, not is_held, 0.0)
             self._vacuum = (
                 newest_ns, is_held, newest_ns - before_ns if is_held == was_held else math.inf)
-        if not (self._estimates and breaks) or not (
-                moves or (cup < 0 and self._estimates[-1].away_ns != 0)):
+        is_away = bool(self._estimates) and self._estimates[-1].away_ns != 0
+        if not (self._track.count and breaks and (moves or (cup < 0 and is_away))):
             return
         alarm = Alarm(newest_ns, LOST, shown_by='vacuum')
         places = [(x, y) for x, y, _, k in places_of(self._values).tolist() if k == cup]

@@ -34,10 +34,10 @@ class Track:
         stamps, (starts, ends) = np.zeros(size, np.int64), np.zeros((2, size, 13))
         self.rows = as_inputs(stamps, starts, ends, np.zeros((size, 25)))
 
-    def begin(self, stamp_ns: int) -> None:
+    def begin(self, stamp_ns: int, tool: State, body: State) -> None:
         """Discard all but the start of a motion."""
-        self.rows[0][0] = self.newest_ns = stamp_ns
-        self.count = 1
+        self.count = 0
+        self.add(stamp_ns, tool, tool, body)
 
     def advance(self, stamp_ns: int) -> None:
         """Count a sample that was written to the rows."""

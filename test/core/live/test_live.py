@@ -6,9 +6,7 @@ from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotat
 from bellows_ros.core.live import LivePredictor, tool_twist
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.states import CAMERA, STATE
-from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 import pytest
 
@@ -129,10 +127,7 @@ def test_model_that_cannot_be_integrated_is_started_from_rest(messages, predicto
 
 def test_what_an_observer_has_learned_outlasts_a_divergence(messages, predictor):
     """Keep the pose of a camera that is 2 mm off."""
-    observer = Observer(resolve({
-        'package.mass': 1.0, 'package.inertia': [0.01, 0.01, 0.02, 0.0, 0.0, 0.0]}, ()))
-    thesis, shifts = Cup.thesis(), []
-    predictor.package.observe(observer)
+    observer, thesis, shifts = predictor.package.observer, Cup.thesis(), []
     for k in range(360):
         if k == 300:
             predictor.package.set_model(

@@ -5,10 +5,8 @@ import math
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import release_of
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
@@ -77,8 +75,7 @@ def test_relaxation_and_stretch_are_set_while_running():
         (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
         assert len(found.strains) == 2 * any(cup.relaxation)
         assert_allclose(found.position[2], -0.0779, atol=2e-3)
-    observer = Observer(resolve(values()))
-    predictor.package.observe(observer)
+    observer = predictor.package.observer
     predictor.package.set_model(RUBBER, PACKAGE)
     for k in range(5, 30):
         (found,) = predictor.on_pose(1 + k * 4_000_000, 'world', *still)
@@ -86,16 +83,14 @@ def test_relaxation_and_stretch_are_set_while_running():
             1 + k * 4_000_000, 'world', found.position, found.quaternion_xyzw)
     assert observer.counts['used'] > 10
     assert len(found.strains) == 2
-    root = Uncertainty(predictor.package.filter_with(resolve(values()))).root(found)
-    assert np.isfinite(root).all()
+    assert np.isfinite(predictor.covariance(found.stamp_ns)).all()
+    assert predictor.package.has_covariance
 
 
 @pytest.mark.parametrize('cup', [RUBBER, STRETCHED])
 def test_observer_follows_its_cup_without_an_alarm(cup):
     """Poses of a cup whose relaxation or stretch is known are no sign of wear."""
     predictor, truth = live(cup), live(cup)
-    observer = Observer(resolve({**values(), 'alarm.false_per_hour': 1.0}))
-    predictor.package.observe(observer)
     rng = np.random.default_rng(0)
     for ms in range(0, 6000, 4):
         pose = (0.0, 0.0, 0.0), tuple(tilted(ms * 1e-3).tolist())
@@ -108,8 +103,8 @@ def test_observer_follows_its_cup_without_an_alarm(cup):
             predictor.on_measured(
                 ms * 1_000_000 + 1, 'world',
                 tuple((true.position + 3e-4 * rng.standard_normal(3)).tolist()), tuple(q.tolist()))
-    assert observer.counts['used'] > 100
-    assert observer.alarms == []
+    assert predictor.package.observer.counts['used'] > 100
+    assert predictor.alarms == []
 
 
 @pytest.mark.parametrize('cup', [RUBBER, STRETCHED])

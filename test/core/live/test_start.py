@@ -4,7 +4,6 @@ import math
 
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.uncertainty import Uncertainty
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
@@ -24,7 +23,8 @@ class Cell:
 
     def __init__(self, period_ns):
         self.live = LivePredictor(Cup.thesis(), PLATE, 9.81)
-        self.uncertainty = Uncertainty(self.live.package.filter_with(STATED))
+        self.live.package.observer.use_values(STATED)
+        self.live.package.set_model(Cup.thesis(), PLATE)
         self.period_ns, self.stamp = period_ns, START
 
     def send(self, position, twist=None):
@@ -34,7 +34,7 @@ class Cell:
         if twist is not None:
             out += self.live.on_twist(self.stamp, *twist, 'world')
         phase = self.live.phase(self.stamp)
-        return [(p, phase, self.uncertainty.covariance(p)) for p in out]
+        return [(p, phase, self.live.covariance(p.stamp_ns)) for p in out]
 
     def stands_still(self, position, twist=None, seconds=4.0):
         """Send a clean stream of a tool at rest, and judge every prediction of it."""

@@ -4,7 +4,7 @@ import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.live import LivePredictor
-from bellows_ros.core.live.uncertainty import in_world_axes, Uncertainty, UNKNOWN_ROOT
+from bellows_ros.core.live.uncertainty import in_world_axes, UNKNOWN
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.parameters.checks import resolve
@@ -51,6 +51,26 @@ def tool_poses():
             (0.0, math.sin(angle / 2), 0.0, math.cos(angle / 2)))
 
 
+def predictor(given, cup=THESIS, package=PLATE, **more):
+    """Return a predictor with parameters of the uncertainty."""
+    live = LivePredictor(cup, package, 9.81, **more)
+    live.package.observer.use_values(given)
+    live.package.set_model(cup, package)
+    return live
+
+
+def covariances(given):
+    """Return the covariance of each prediction."""
+    live = predictor(given)
+    return np.array([live.covariance(p.stamp_ns) for stamp, o, q in tool_poses()
+                     for p in live.on_pose(stamp, 'world', o, q)])
+
+
+def stds(C):
+    """Return the standard deviations (N, 12) of settled covariances."""
+    return np.sqrt(np.diagonal(C[SETTLED:], axis1=1, axis2=2))
+
+
 def predict(cup=THESIS, package=PLATE, rng=None, position=0.0, rotation=0.0):
     """Return predictions, with noise on the poses where a generator is given."""
     live, out = LivePredictor(cup, package, 9.81), []
@@ -61,7 +81,7 @@ def predict(cup=THESIS, package=PLATE, rng=None, position=0.0, rotation=0.0):
             q = np.array(q) + [*half, 0.0]
             q = tuple((q / np.linalg.norm(q)).tolist())
         out += live.on_pose(stamp, 'world', o, q)
-    return live, out
+    return out
 
 
 def errors(out, base):
@@ -83,59 +103,52 @@ def rms(array):
 def test_uncertain_cup_and_package():
     """To first order, where motion couples the axes; the filter adds a model error to twists."""
     rng = np.random.default_rng(5)
-    live, base = predict()
+    base = predict()
     drawn = []
     for _ in range(DRAWS):
         K, P = (M + np.diag(share * rng.standard_normal(6)) * M
                 for M, share in ((THESIS.stiffness, 0.1), (THESIS.damping, 0.2)))
         package = Package(PLATE.mass * (1.0 + 0.02 * rng.standard_normal()), PLATE.inertia,
                           PLATE.com + 2e-3 * rng.standard_normal(3))
-        drawn.append(errors(predict(Cup(K, P, 0.0481), package)[1], base)[SETTLED:])
-    uncertainty = Uncertainty(live.package.filter_with(values()))
-    said = np.sqrt([np.diag(uncertainty.covariance(p)) for p in base])[SETTLED:]
-    ratio = np.log2(rms(said) / rms(np.array(drawn)))
+        drawn.append(errors(predict(Cup(K, P, 0.0481), package), base)[SETTLED:])
+    ratio = np.log2(rms(stds(covariances(values()))) / rms(np.array(drawn)))
     assert_allclose(ratio[:6], 0.0, atol=0.6)
     assert np.all((ratio[6:] > -0.6) & (ratio[6:] < 2.2))
 
 
 def test_noise_of_the_tool_pose():
     """Yaw is excited by the product of two errors, too, which the filter leaves out."""
-    live, base = predict()
-    drawn = [errors(predict(rng=np.random.default_rng(k), position=1e-3, rotation=5e-3)[1], base)
+    base = predict()
+    drawn = [errors(predict(rng=np.random.default_rng(k), position=1e-3, rotation=5e-3), base)
              for k in range(10)]
-    uncertainty = Uncertainty(live.package.filter_with(exact(position=1e-3, rotation=5e-3)))
-    said = np.sqrt([np.diag(uncertainty.covariance(p)) for p in base])
-    ratio = rms(said[SETTLED:]) / rms(np.array(drawn)[:, SETTLED:])
+    said = stds(covariances(exact(position=1e-3, rotation=5e-3)))
+    ratio = rms(said) / rms(np.array(drawn)[:, SETTLED:])
     assert_allclose(np.delete(ratio, 5), 1.0, atol=0.2)
 
 
 def test_covariance_grows_while_coasting():
-    live, base = predict()
-    uncertainty = Uncertainty(live.package.filter_with(values(position=1e-4)))
-    before = [uncertainty.covariance(p) for p in base][-1]
-    last = base[-1]
-    later = [uncertainty.covariance(last._replace(
-        stamp_ns=last.stamp_ns + ms * 1_000_000, coasting=True)) for ms in (20, 50, 100)]
-    sizes = [np.trace(C[:6, :6]) for C in (before, *later)]
+    live, sizes = predictor(values(position=1e-4)), []
+    for stamp, o, q in tool_poses():
+        (last,) = live.on_pose(stamp, 'world', o, q, stamp)
+    for ms in (0, 25, 50, 100):
+        (last,) = live.coast(stamp + ms * 1_000_000) if ms else [last]
+        sizes.append(np.trace(live.covariance(last.stamp_ns)[:6, :6]))
     assert sizes == sorted(sizes) and sizes[-1] > 10 * sizes[0]
 
 
 def test_a_package_that_hangs_from_a_tool_that_points_down_has_a_covariance():
     """Under an upright tool this one would fall over."""
     hanging = Package(5.0, np.diag([0.02, 0.02, 0.02]), (0.0, 0.0, 0.3))
-    live = LivePredictor(THESIS, hanging, 9.81)
-    down = (1.0, 0.0, 0.0, 0.0)
-    out = [p for k in range(900)
-           for p in live.on_pose(START + k * PERIOD, 'world', (0.0, 0.0, 0.0), down)]
-    uncertainty = Uncertainty(live.package.filter_with(values(position=1e-4)))
-    sizes = [np.sqrt(np.diag(uncertainty.covariance(p))[:6]).max() for p in out][SETTLED:]
-    assert uncertainty.available and len(out) > 400
+    live, down = predictor(values(position=1e-4), package=hanging), (1.0, 0.0, 0.0, 0.0)
+    sizes = [np.sqrt(np.diag(live.covariance(p.stamp_ns))[:6]).max() for k in range(900)
+             for p in live.on_pose(START + k * PERIOD, 'world', (0.0, 0.0, 0.0), down)][SETTLED:]
+    assert live.package.has_covariance and len(sizes) > 400
     assert 1e-5 < min(sizes) and max(sizes) < 1e-2
 
 
 def test_pose_covariance_is_turned_into_fixed_axes():
     quarter = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # about z: body x is world y
-    turned = in_world_axes(np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), quarter)
+    turned = in_world_axes(np.diag(np.square([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])), quarter)
     assert_allclose(np.diag(turned), [4.0, 1.0, 9.0, 25.0, 16.0, 36.0], atol=1e-12)
 
 
@@ -145,17 +158,15 @@ def test_pose_covariance_is_turned_into_fixed_axes():
 def test_a_covariance_is_positive_semidefinite_for_any_damping(damping, down):
     """In body and in world axes, in every sample, with a diagonal that is not negative."""
     soft = Cup(np.diag([900.0, 900.0, 900.0, 3.0, 3.0, 0.5]), damping, 0.05)
-    live = LivePredictor(soft, PLATE, 9.81)
-    uncertainty = Uncertainty(
-        live.package.filter_with(values(position=1e-3, rotation=1e-2, cup=soft)))
+    live = predictor(values(position=1e-3, rotation=1e-2, cup=soft), soft)
     for k in range(300):
         x = 0.02 * math.sin(0.02 * k)
         for p in live.on_pose(START + k * PERIOD, 'world', (x, 0.0, 0.0), down):
-            root = uncertainty.root(p)
-            for C in (uncertainty.covariance(p), in_world_axes(root[:6], p.quaternion_xyzw)):
+            P = live.covariance(p.stamp_ns)
+            for C in (P, in_world_axes(P[:6, :6], p.quaternion_xyzw)):
                 assert np.array_equal(C, C.T) and np.all(np.diag(C) >= 0.0)
                 assert np.linalg.eigvalsh(C)[0] >= -1e-14 * np.abs(C).max()
-    assert uncertainty.available
+    assert live.package.has_covariance
 
 
 @pytest.mark.parametrize(('start', 'twists'), [(200, False), (500, True)])
@@ -164,9 +175,8 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
     tool = ShakenTool(np.random.default_rng(twists)).trajectory(6.0, 360)
     truth = simulate(THESIS, PLATE, tool)
     driven = list(zip(*messages(tool, START), strict=True))
-    live = LivePredictor(THESIS, PLATE, 9.81, twist_frame='tool')
+    live = predictor(exact(position=1e-6, rotation=1e-6), twist_frame='tool')
     live.expect_twists(twists)
-    uncertainty = Uncertainty(live.package.filter_with(exact(position=1e-6, rotation=1e-6)))
     parts, phases, off = [], [], []
     for k in range(start, len(tool)):
         stamp, o, q, v, w = driven[k]
@@ -178,7 +188,7 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
         error = np.concatenate([
             R @ (prediction.position - truth.position[k]),
             log_so3(R @ quaternion_to_rotation(np.array(prediction.quaternion_xyzw)))])
-        std = np.sqrt(np.diag(uncertainty.covariance(prediction))[:6])
+        std = np.sqrt(np.diag(live.covariance(prediction.stamp_ns))[:6])
         off.append(norms(error))
         parts.append(np.divide(off[-1], norms(std)))
         phases.append(live.phase(stamp))
@@ -194,14 +204,11 @@ def norms(six):
     return np.linalg.norm(six[:3]), np.linalg.norm(six[3:])
 
 
-def test_covariance_of_an_observer_that_rounding_has_spoilt_is_unknown():
-    live, out = predict()
-    uncertainty = Uncertainty(live.package.filter_with(values()))
-    sound = np.diag([1e-6] * 6 + [1e-3] * 6)
-    assert_allclose(uncertainty.covariance(out[0]._replace(covariance=lambda: sound)), sound)
-    spoilt = sound - 2.0 * np.diag([0.0] * 11 + [1e-3])
-    found = uncertainty.covariance(out[1]._replace(covariance=lambda: spoilt))
-    assert_allclose(found, UNKNOWN_ROOT @ UNKNOWN_ROOT.T)
-    assert not uncertainty.available
-    assert_allclose(uncertainty.covariance(out[2]._replace(covariance=lambda: sound)), sound)
-    assert uncertainty.available
+def test_covariance_that_rounding_has_spoilt_is_unknown():
+    live, sound = predictor(values()), np.diag([1e-6] * 6 + [1e-3] * 6)
+    (first,) = live.on_pose(START, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    spoilt = sound - np.diag([0.0] * 11 + [2e-3])
+    for is_sound, P in ((True, sound), (False, spoilt), (True, sound)):
+        live.package.observer.covariance = lambda stamp_ns, P=P: P
+        assert_allclose(live.covariance(first.stamp_ns), P if is_sound else UNKNOWN)
+        assert live.package.has_covariance == is_sound
