@@ -27,8 +27,8 @@ PADDING = 1.0
 def spectrum(noise: BodyNoise, period: float, frequency: Array) -> Array:
     """Return spectra (F, 6) of noise of poses, m^2/Hz and rad^2/Hz, at frequencies (F,)."""
     memory = noise.correlation
-    turn = np.abs(1.0 - memory * np.exp(-2j * np.pi * period * frequency)) ** 2
-    return np.asarray(period * noise.std**2 * ((1.0 - memory**2) / turn)[:, None])
+    turn = np.abs(1.0 - memory * np.exp(-2j * np.pi * period * frequency)[:, None]) ** 2
+    return np.asarray(period * noise.std**2 * (1.0 - memory**2) / turn)
 
 
 class Response(NamedTuple):

@@ -124,11 +124,11 @@ def ripple_part(ar1: Array | float) -> Array:
     return np.asarray(np.asarray(ar1)[..., None, None] ** lags @ residue @ residue)
 
 
-def pose_noise(poses: Trajectory, ar1: float) -> Array:
+def pose_noise(poses: Trajectory, ar1: Array | float) -> Array:
     """
     Return the standard deviations (6,) of poses at a uniform rate, in body axes, m and rad.
 
-    The noise is of first order, with a given correlation from pose to pose. A recording without a
+    The noise is of first order, with correlations (6,) from pose to pose. A recording without a
     valid window raises UndeterminedError.
     """
     residuals, rotation = ripple(poses)
@@ -235,13 +235,13 @@ UNSEEN_STD = np.full(6, 10.0)
 
 class BodyNoise(NamedTuple):
     """
-    Noise of a body's poses: standard deviations (6,), and its correlation from pose to pose.
+    Noise of a body's poses: standard deviations (6,), and correlations (6,) from pose to pose.
 
     `independent` is the equivalent number of independent poses of the estimate.
     """
 
     std: Array
-    correlation: float = 0.0
+    correlation: Array | float = 0.0
     independent: float = np.inf
 
 
@@ -687,7 +687,8 @@ class Recording:
         of_tool, of_package = (
             BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(
                 (self.aligned_tool, self.aligned_package),
-                (max(part.correlation for part in body) for body in self.ar1_noise), strict=True))
+                (np.repeat([part.correlation for part in body], 3) for body in self.ar1_noise),
+                strict=True))
         if self.report.package.timing.rate_hz < LOW_RATE_HZ:
             still = self._still(self.tracked_package)
             if len(still) >= MIN_SAMPLES_AT_REST:

@@ -76,7 +76,7 @@ def test_noise_of_poses_too_slow_for_a_stride_is_known_by_a_standstill(kept):
     recorded = simulated.record(motion, tool=sizes, package=sizes, kept=kept)
     for noise in recorded.body_noise:
         assert_allclose(noise.std, np.repeat(sizes, 3), rtol=0.15)
-        assert abs(noise.correlation - kept) < 0.1
+        assert_allclose(noise.correlation, kept, atol=0.1)
 
 
 @pytest.mark.parametrize('uneven', [False, True])
