@@ -363,8 +363,7 @@ def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
     steps = ['Next, check how well it predicts another recording:',
              f'  bellows replay BAG{params}{observe}']
     if lost:
-        steps.insert(0, f'Estimated, but not written: {lost}; give --out-cell cell.yaml to keep '
-                        'them.')
+        steps.insert(0, f'Without --out-cell cell.yaml the estimates of {lost} are lost.')
     return (*steps, *((
         'Then predict live:',
         f'  ros2 run bellows_ros predictor --ros-args --params-file {cell} --params-file {out}'

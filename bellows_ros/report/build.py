@@ -6,6 +6,7 @@ import io
 from typing import Any
 
 from bellows_ros import plots
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import shown
 from bellows_ros.files import atomic, File, results
 from bellows_ros.workflows.identification import Identification
@@ -43,9 +44,10 @@ def identification_page(result: Identification) -> str:
     """Return the page of a fit, with free simulations of its recordings."""
     origin = dict(result.as_json()['provenance'])
     origin['recordings'] += results.provenance([v.bag for v in result.validations])['recordings']
-    replays = (part for each in result.replays() for part in _replay_parts(each))
+    validations = (part for each in result.validations for part in _replay_parts(each))
+    pictures = (_picture(each) for each in result.replays() if each not in result.validations)
     return page(f'Cup identified from {", ".join(result.bags)}', [
-        printed(lambda out: print_identification(result, out)), *replays,
+        printed(lambda out: print_identification(result, out)), *validations, *pictures,
         _origin(origin, result.values)])
 
 
@@ -62,8 +64,12 @@ def write_page(result: Identification, path: File) -> None:
 
 def _replay_parts(result: Replay) -> tuple[str, str]:
     """Return text and picture of a freely simulated recording."""
-    return (printed(lambda out: print_replay(result, out)),
-            plots.svg_of(plots.figure_of(result)))
+    return printed(lambda out: print_replay(result, out)), _picture(result)
+
+
+def _picture(result: Replay) -> str:
+    """Return the picture of a freely simulated recording."""
+    return plots.svg_of(plots.figure_of(result))
 
 
 def _origin(provenance: Mapping[str, Any], values: Mapping[str, Any]) -> str:
@@ -75,6 +81,8 @@ def _origin(provenance: Mapping[str, Any], values: Mapping[str, Any]) -> str:
                 out.line(f'{file["sha256"]}  {entry["path"]}, {file["name"]}')
         out.table([('', 'version'), *(
             (name, version or '-') for name, version in provenance['versions'].items())])
-        out.table([('parameter', 'value'), *((name, str(each)) for name, each in values.items())])
+        out.table([('parameter', 'value'), *(
+            (name, str(each)) for name, each in values.items()
+            if name not in PARAMETERS or each != PARAMETERS[name].default)])
 
     return printed(show)

@@ -212,7 +212,7 @@ def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
         ('largest deflection', value('peak_deflection', 1e3, 'mm'), ''),
         ('largest force', value('peak_force', 1.0, 'N'), ''),
         ('largest moment', value('peak_moment', 1.0, 'N m'),
-         f'{value("rigid_peak_moment", 1.0, "N m")} of the rigid load')]
+         f'with a rigid cup {value("rigid_peak_moment", 1.0, "N m")}')]
     if prediction.grip:
         factor, mode, time = prediction.smallest_safety
         rows.insert(0, ('smallest safety factor', 'none', 'the package presses on the cup')

@@ -30,9 +30,9 @@ LEGEND = (
     'alone. NRMSE: RMS error over motion; * moves too little for a verdict, as noise alone is '
     'more than 5 % of its motion.')
 TWO_ERRORS = (
-    'The first standard error is due to noise in the recordings; the second includes the '
-    'uncertainty of the given quantities (package.*_std, cup.length_std, recording.*_std): a '
-    'common factor on mass, inertia, K and P is not observable from poses.')
+    'The first standard error is due to noise; the second includes the errors of the given '
+    'quantities (package.*_std, cup.length_std, recording.*_std). K and P are wrong by the factor '
+    'by which mass and inertia are.')
 
 MAX_TEXT = 5000
 """Longest paragraph or cell, characters."""
