@@ -46,28 +46,11 @@ def with_moments(inertia: Array, factors: ArrayLike) -> Array:
     If no body has these moments, the inertia of the nearest body of least thickness is returned.
     """
     inertia = nearest(inertia)
-    d = stretch_of(inertia, factors)
-    return np.array(stretched(_tuple(inertia), _tuple(d))).reshape(3, 3)
-
-
-def stretch_of(inertia: Array, factors: ArrayLike) -> Array:
-    """Return the stretch (3,) of a body whose moments change by logarithmic factors (3,)."""
     moments = np.diag(inertia) * np.exp(factors)
     wanted = 0.5 * moments.sum() - moments
     wanted = np.maximum(wanted, MIN_FLATNESS * wanted.max())
-    return np.asarray(0.5 * np.log(wanted / second_moments(_tuple(inertia))))
-
-
-def moments_of(inertia: Array, d: Array) -> Array:
-    """Return the logarithmic factors (3,) of the moments of a body after a stretch (3,)."""
-    moved: Array = np.array(stretched(_tuple(inertia), _tuple(d)))
-    return np.asarray(np.log(moved[::4] / np.diag(inertia)))
-
-
-def by_moments(inertia: Array) -> Array:
-    """Return the derivatives (3, 3) of the stretch by logarithms of the moments."""
-    moments, squares = np.diag(inertia), np.reshape(second_moments(_tuple(inertia)), (3, 1))
-    return np.asarray((0.5 - np.eye(3)) * moments / (2.0 * squares))
+    d = 0.5 * np.log(wanted / second_moments(_tuple(inertia)))
+    return np.array(stretched(_tuple(inertia), _tuple(d))).reshape(3, 3)
 
 
 def flatness(inertia: Array) -> float:

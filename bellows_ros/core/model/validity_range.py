@@ -6,9 +6,8 @@ A prediction outside the ranges of the identification is an extrapolation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Context, ROUND_CEILING, ROUND_FLOOR
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
@@ -31,25 +30,28 @@ PEAK_MOMENT_BENDING = math.pi / 4.0
 OVERTURN_ANGLE = 1.5
 """Rotation beyond which no package is still on its cup, rad."""
 
-MIN_RATE = np.array([1e-2] * 3 + [1e-1] * 3)
-"""Smallest width of a validity range, above the noise (m, rad; m/s, rad/s)."""
+MIN_HALF = np.array([5e-4] * 3 + [5e-3] * 3 + [1e-2] * 3 + [1e-1] * 3 + [1.0] * 2 + [0.0] * 2)
+"""Smallest half width of each range (16,), above the noise: m, rad; m/s, rad/s; Hz; kg, Pa."""
 
-MIN_FREQUENCY = 1.0
-"""Smallest upper end of a frequency band, Hz."""
+MARGIN = np.array([0.0] * 12 + [0.125] * 2 + [0.05] * 2)
+"""Tolerated excess over frequencies, masses and vacuums, relative to twice the largest: 25 % for
+frequencies, which a spectrum resolves to 0.5 Hz, and 10 % for loads."""
 
-FREQUENCY_MARGIN = 1.25
-"""Ratio of a frequency to the end of a band, above which the frequency is outside."""
+OUTSIDE = 1.001
+"""Distance beyond which a state is outside: a file rounds ends of ranges to six digits."""
 
-DOWN, UP = (Context(prec=6, rounding=mode) for mode in (ROUND_FLOOR, ROUND_CEILING))
-ROUNDING_MODES = {
-    'deflection_low': (DOWN,) * 6, 'deflection_high': (UP,) * 6, 'rates': (UP,) * 6,
-    'frequencies': (DOWN, UP) * 2, 'mass': (DOWN, UP), 'vacuum': (DOWN, UP)}
-"""Rounding of the bounds outward, so that each range still contains its data."""
+QUANTITIES = (
+    *DIRECTIONS, *(f'the rate of {name}' for name in DIRECTIONS), 'the frequency of shift',
+    'the frequency of rotation', 'the mass', 'the vacuum')
+UNITS = (*DISPLAY_UNITS, *(f'{unit}/s' for unit in DISPLAY_UNITS), 'Hz', 'Hz', 'kg', 'kPa')
+SCALES = np.hstack([DISPLAY_FACTORS, DISPLAY_FACTORS, 1.0, 1.0, 1.0, 1e-3])
+"""Names, display units and their number per SI unit of the quantities (16,) of a range."""
 
-FIELDS = tuple(ROUNDING_MODES)
+SHAPES = {'deflection_low': (6,), 'deflection_high': (6,), 'rates': (6,), 'frequencies': (2, 2),
+          'mass': (2,), 'vacuum': (2,)}
 
 RANGE_PARAMETERS = {
-    **{name: f'envelope.{name}' for name in FIELDS[:4]}, 'mass': 'cup.valid_mass',
+    **{name: f'envelope.{name}' for name in [*SHAPES][:4]}, 'mass': 'cup.valid_mass',
     'vacuum': 'cup.valid_vacuum'}
 """Parameters of the ranges."""
 
@@ -83,24 +85,26 @@ class Envelope:
     vacuum: ArrayLike = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, shape in zip(FIELDS, ((6,), (6,), (6,), (2, 2), (2,), (2,)), strict=True):
+        for name, shape in SHAPES.items():
             array = frozen_array(getattr(self, name), shape, f"envelope's {name}")
             object.__setattr__(self, name, array)
-        if not (
-                (self.deflection_low <= self.deflection_high).all()
-                and (np.diff(self.frequencies) >= 0.0).all() and np.diff(self.mass) >= 0.0
-                and np.diff(np.asarray(self.vacuum)) >= 0.0
-                and (self.rates >= 0.0).all()):
+        low, high = self.box
+        if np.any(low > high) or np.any(np.diff(self.frequencies) < 0.0):
             raise BellowsError('Envelope: a range ends below its beginning.')
 
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper ends of the `QUANTITIES` (16,), in SI units."""
+        top, vacuum = self.frequencies[:, 1], np.asarray(self.vacuum)
+        return (np.hstack([self.deflection_low, -self.rates, -top, self.mass[0], vacuum[0]]),
+                np.hstack([self.deflection_high, self.rates, top, self.mass[1], vacuum[1]]))
+
     def parameters(self) -> dict[str, tuple[float, ...]]:
-        """Return the parameters of the cup file with six digits, rounded outward."""
+        """Return the parameters of the cup file with six digits."""
         return {
             RANGE_PARAMETERS[name]: tuple(
-                float(context.create_decimal(repr(x)))
-                for x, context in zip(getattr(self, name).ravel().tolist(), contexts, strict=True))
-            for name, contexts in ROUNDING_MODES.items()
-            if name != 'vacuum' or np.any(self.vacuum)}
+                float(f'{x:.6g}') for x in getattr(self, name).ravel().tolist())
+            for name in SHAPES if name != 'vacuum' or np.any(self.vacuum)}
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for the result of a fit."""
@@ -114,15 +118,14 @@ class Envelope:
 def joined_envelopes(parts: Sequence[Envelope]) -> Envelope:
     """Return the validity range of all recordings: the union of their ranges."""
     low, high, rates, bands, mass = (
-        np.array([getattr(part, name) for part in parts]) for name in FIELDS[:5])
+        np.array([getattr(part, name) for part in parts]) for name in [*SHAPES][:5])
     return Envelope(
         low.min(axis=0), high.max(axis=0), rates.max(axis=0),
         np.column_stack([bands[:, :, 0].min(axis=0), bands[:, :, 1].max(axis=0)]),
         np.array([mass[:, 0].min(), mass[:, 1].max()]))
 
 
-@dataclass(frozen=True)
-class Distance:
+class Distance(NamedTuple):
     """
     Distance of a state from the validity range.
 
@@ -160,80 +163,45 @@ def distance(
         Pressure below ambient in the cup, Pa; 0 if unknown.
 
     """
-    return _worst_first(
-        _deflections(valid, np.asarray(deflection, dtype=float))
-        + _rates(valid, np.asarray(rates, dtype=float))
-        + _loads((valid.mass, valid.vacuum), mass, vacuum))
-
-
-def _worst_first(distances: list[tuple[float, str]]) -> Distance:
-    """Return the largest distance, and the phrases for distances above 1."""
-    ranked = sorted(distances, key=lambda item: -item[0])
-    return Distance(ranked[0][0], tuple(phrase for size, phrase in ranked if size > 1.0))
+    return _distance(valid, np.hstack([deflection, rates, 0.0, 0.0, mass, vacuum]))
 
 
 def beyond(valid: Envelope, other: Envelope) -> tuple[str, ...]:
     """Return a phrase for each range that another envelope exceeds, the worst first."""
-    ends = (_deflections(valid, end) for end in (other.deflection_low, other.deflection_high))
-    return _worst_first([
-        *map(max, *ends), *_rates(valid, other.rates), *_frequencies(valid, other.frequencies),
-        *max(_loads((valid.mass, valid.vacuum), mass, vacuum) for mass, vacuum in zip(
-            other.mass.tolist(), np.asarray(other.vacuum).tolist(), strict=True))]).outside
+    return _distance(valid, *other.box).outside
 
 
 def outside_loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> tuple[str, ...]:
     """Return a phrase for mass (kg) and vacuum (Pa) outside their ranges."""
-    return tuple(phrase for size, phrase in _loads(ranges, mass, vacuum) if size > 1.0)
+    none = np.zeros(6)
+    valid = Envelope(none, none, none, np.zeros((2, 2)), *map(np.asarray, ranges))
+    return distance(valid, none, none, mass, vacuum).outside
 
 
-def _deflections(valid: Envelope, value: Array) -> list[tuple[float, str]]:
-    """Return distance and phrase for each deflection."""
-    middle = 0.5 * (valid.deflection_high + valid.deflection_low)
-    half = np.maximum(0.5 * (valid.deflection_high - valid.deflection_low),
-                      np.repeat([5e-4, 5e-3], 3))  # m, rad
-    size, low, high = (
-        DISPLAY_FACTORS * x for x in (value, valid.deflection_low, valid.deflection_high))
-    return [
-        (part, f'{DIRECTIONS[i]} is {size[i]:.3g} {DISPLAY_UNITS[i]}, seen {low[i]:.3g} to '
-               f'{high[i]:.3g} {DISPLAY_UNITS[i]}')
-        for i, part in enumerate((np.abs(value - middle) / half).tolist())]
-
-
-def _rates(valid: Envelope, value: Array) -> list[tuple[float, str]]:
-    """Return distance and phrase for each rate."""
-    rate, largest = (DISPLAY_FACTORS * np.abs(x) for x in (value, valid.rates))
-    return [
-        (part, f'the rate of {DIRECTIONS[i]} is {rate[i]:.3g} {DISPLAY_UNITS[i]}/s, seen up to '
-               f'{largest[i]:.3g}')
-        for i, part in enumerate((np.abs(value) / np.maximum(valid.rates, MIN_RATE)).tolist())]
-
-
-def _frequencies(valid: Envelope, bands: Array) -> list[tuple[float, str]]:
+def _distance(valid: Envelope, *states: Array) -> Distance:
     """
-    Return distance and phrase for the upper ends of frequency bands, if known.
+    Return the distance of the farthest of states (16,), of each quantity by itself.
 
-    Slower motion is no extrapolation: the spring also holds at rest.
+    Frequencies, masses and vacuums of 0 are unknown, in states and ranges.
     """
-    tops = np.maximum(valid.frequencies[:, 1], MIN_FREQUENCY).tolist()
-    return [
-        (top / valid_top / FREQUENCY_MARGIN,
-         f'the {name} goes up to {top:.3g} Hz, seen {valid_top:.3g} Hz')
-        for name, top, valid_top in zip(('shift', 'rotation'), bands[:, 1], tops, strict=True)
-        if valid.frequencies.any()]
+    low, high = valid.box
+    half = np.maximum(0.5 * (high - low), MIN_HALF) + MARGIN * (np.abs(high) + np.abs(low))
+    values = np.array(states)
+    is_known = (np.arange(len(low)) < 12) | ((high > 0.0) & (values > 0.0))
+    parts = np.abs(values - 0.5 * (low + high)) / np.where(half > 0.0, half, np.inf) * is_known
+    order = np.argsort(-parts.max(axis=0)).tolist()
+    value = np.take_along_axis(values, np.argmax(parts, axis=0)[None], axis=0)[0]
+    value, low, high = SCALES * [value, low, high]
+    return Distance(float(parts.max()), tuple(
+        f'{QUANTITIES[i]} is {value[i]:.3g} {UNITS[i]}, seen {_shown(low[i], high[i])} '
+        f'{UNITS[i]}' for i in order if parts[:, i].max() > OUTSIDE))
 
 
-def _loads(ranges: Sequence[ArrayLike], mass: float, vacuum: float) -> list[tuple[float, str]]:
-    """Return distance and phrase for mass and vacuum, without unknown ranges."""
-    found = []
-    for range_, (name, value, scale, unit) in zip(ranges, (
-            ('mass', mass, 1.0, 'kg'), ('vacuum', vacuum, 1e-3, 'kPa')), strict=True):
-        low, high = np.asarray(range_).tolist()
-        if high > 0.0 and value > 0.0:
-            half = 0.5 * (high - low) + 0.05 * (high + low)  # a margin of 10 %
-            seen = f'{scale * low:.4g}' + (f' to {scale * high:.4g}' if low < high else '')
-            found.append((abs(value - 0.5 * (low + high)) / half,
-                          f'the {name} is {scale * value:.4g} {unit}, seen {seen}'))
-    return found
+def _shown(low: float, high: float) -> str:
+    """Return the words for a range."""
+    if low == -high:
+        return f'up to {high:.3g}'
+    return f'{low:.3g} to {high:.3g}' if low < high else f'{high:.3g}'
 
 
 def flip_finding(angle: float) -> Finding | None:

@@ -90,7 +90,7 @@ def test_distance_is_one_on_the_edge():
     beyond = np.where(np.arange(6) == 4, 0.45, middle)
     far = validity_range.distance(KNOWN, beyond, np.zeros(6), 2.0)
     assert_allclose(far.value, 1.5)
-    assert far.outside == ('bending about y is 25.8 deg, seen -17.2 to 17.2 deg',)
+    assert far.outside == ('bending about y is 25.8 deg, seen up to 17.2 deg',)
 
 
 def test_beyond_names_what_another_recording_leaves():
@@ -99,7 +99,7 @@ def test_beyond_names_what_another_recording_leaves():
     low[5] = -0.2
     wider = Envelope(low, KNOWN.deflection_high, KNOWN.rates, KNOWN.frequencies, [2.0, 2.6])
     assert validity_range.beyond(KNOWN, wider) == (
-        'the mass is 2.6 kg, seen 2', 'torsion is -11.5 deg, seen -5.73 to 5.73 deg')
+        'the mass is 2.6 kg, seen 2 kg', 'torsion is -11.5 deg, seen up to 5.73 deg')
 
 
 def test_a_file_holds_at_least_what_was_seen():
@@ -128,7 +128,7 @@ def test_faster_motions_than_seen_are_beyond_and_slower_ones_are_not():
     slow = envelope(samples(), LENGTH)
     faster = replace(slow, frequencies=np.array([slow.frequencies[0], [5.0, 9.0]]))
     phrases = validity_range.beyond(slow, faster)
-    assert len(phrases) == 1 and 'the rotation goes up to 9 Hz, seen' in phrases[0]
+    assert len(phrases) == 1 and 'the frequency of rotation is 9 Hz, seen up to' in phrases[0]
     assert validity_range.beyond(faster, slow) == ()
     unknown = replace(slow, frequencies=np.zeros((2, 2)))
     assert validity_range.beyond(unknown, faster) == ()
@@ -163,8 +163,8 @@ def test_other_masses_and_vacuums_are_named():
                              values.vacuum.holding)
 
     assert outside() == outside(package__mass=1.9) == ()
-    assert outside(package__mass=2.5) == ('the mass is 2.5 kg, seen 1.8',)
-    assert outside(vacuum__holding=40e3) == ('the vacuum is 40 kPa, seen 20',)
+    assert outside(package__mass=2.5) == ('the mass is 2.5 kg, seen 1.8 kg',)
+    assert outside(vacuum__holding=40e3) == ('the vacuum is 40 kPa, seen 20 kPa',)
     assert outside(package__mass=2.5, cup__valid_mass=[0.0, 0.0]) == ()
     assert outside(package__mass=2.0, cup__valid_mass=[1.0, 2.5]) == ()
 
