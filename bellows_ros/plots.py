@@ -152,14 +152,17 @@ def series(
     panel.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=4)
 
 
-def comparison_figure(seconds: Array, comparison: Comparison, title: str, note: str) -> Any:
+def comparison_figure(
+    seconds: Array, comparison: Comparison, title: str, note: str, of_tag: bool = False
+) -> Any:
     """
     Draw predicted and measured coordinates (N, 6) over time (s), each with its error below.
 
-    Lines are interrupted at missing values.
+    Lines are interrupted at missing values. Poses of a tag are points, beside a whole prediction.
     """
     steps = np.diff(seconds)
-    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
+    gaps = np.flatnonzero(steps > (np.inf if of_tag else GAP_PERIODS) * np.median(steps)) + 1
+    style = {'linestyle': '', 'marker': '.', 'markersize': 2.0} if of_tag else {'linewidth': 3.6}
     t, measured, predicted = (np.insert(rows, gaps, np.nan, axis=0) for rows in (
         seconds, DISPLAY_FACTORS * comparison.measured, DISPLAY_FACTORS * comparison.predicted))
     scores = comparison.scores
@@ -168,7 +171,7 @@ def comparison_figure(seconds: Array, comparison: Comparison, title: str, note: 
         for i, (axis, unit, factor) in enumerate(
                 zip(AXES, DISPLAY_UNITS, DISPLAY_FACTORS, strict=True)):
             upper, lower = panels[2 * (i % 3):2 * (i % 3) + 2, i // 3]
-            upper.plot(t, measured[:, i], color=MEASURED, linewidth=3.6, label='measured')
+            upper.plot(t, measured[:, i], color=MEASURED, label='measured', **style)
             upper.plot(t, predicted[:, i], color=PREDICTED, linewidth=0.9, label='predicted')
             lower.plot(t, (predicted - measured)[:, i], color=ERROR, linewidth=0.6,
                        label='predicted minus measured')
@@ -190,7 +193,8 @@ def replay_figure(result: Any) -> Any:
     """Draw the free simulation of a replay."""
     return comparison_figure(
         result.recording.since_start(result.validation.stamps_ns), result.validation,
-        'Package: predicted, and measured', f'{result.bag}, relative to the tool')
+        'Package: predicted, and measured', f'{result.bag}, relative to the tool',
+        result.validation.corners is not None)
 
 
 def plan_figure(report: Any) -> Any:

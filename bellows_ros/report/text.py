@@ -258,7 +258,7 @@ def print_replay(result: 'Replay', out: Any, limit: float = MAX_NRMSE) -> None:
     out.line()
     validation = result.validation
     out.paragraph(
-        validation.verdict(limit),
+        text_of(validation.verdict(limit)),
         f'{validation.scores.samples} samples compared.',
         *([text_of(result.margin.finding)] if result.margin else []),
         *map(text_of, offset_finding(result.bag, result.time_offset)))
@@ -271,12 +271,18 @@ def print_replay(result: 'Replay', out: Any, limit: float = MAX_NRMSE) -> None:
 
 
 def _print_observed(observed: 'Observed', out: Any) -> None:
-    """Print the gain by measured poses, and alarms."""
-    errors = [column((DISPLAY_FACTORS * estimate.scores.rms).tolist())
-              for estimate in observed.estimates.values()]
-    out.table([('axis', *observed.estimates), *(
-        (f'{name:2} {DISPLAY_UNITS[i]}', *(rms[i] for rms in errors))
-        for i, name in enumerate(AXES))], right=True, title=f'With {observed.topic}, RMS error')
+    """Print the gain by measured poses, and alarms; with a tag by its corners."""
+    rows = [('corners mrad', *(formatted(each and each.rms, factor=1e3)
+                               for each in observed.corners.values())),
+            ('corners chi2', *(formatted(each and each.chi2)
+                               for each in observed.corners.values()))]
+    if not observed.corners:
+        errors = [column((DISPLAY_FACTORS * estimate.scores.rms).tolist())
+                  for estimate in observed.estimates.values()]
+        rows = [(f'{name:2} {DISPLAY_UNITS[i]}', *(rms[i] for rms in errors))
+                for i, name in enumerate(AXES)]
+    out.table([('axis', *(observed.corners or observed.estimates)), *rows], right=True,
+              title=f'With {observed.topic}, RMS error')
     out.paragraph(observed.sentence)
     for line in observed.alarm_lines:
         out.warn(f'Alarm at {line}')
@@ -286,6 +292,10 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     """Return a row for each axis: errors, and the part due to noise."""
     validation, live = result.validation, result.live
     rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE')]
+    if corners := validation.corners:
+        live_rms = live.corners.rms if live and live.corners else None
+        return [*rows, ('corners mrad', *(formatted(error, factor=1e3) for error in (
+            corners.rms, live_rms, corners.noise, corners.largest)), percent(corners.nrmse, 1))]
     scores = validation.scores
     errors = [
         ('-',) * 6 if error is None else column((DISPLAY_FACTORS * error).tolist()) for error in (

@@ -5,13 +5,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 import os
 import time
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import result, samples
 from bellows_ros.core.identification.quantities import given_std
-from bellows_ros.core.identification.validation import DRAW_SEED, MAX_NRMSE, validate, Validation
+from bellows_ros.core.identification.validation import (
+    corner_scores,
+    CornerScores,
+    DRAW_SEED,
+    MAX_NRMSE,
+    validate,
+    Validation,
+)
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.cycle import Signal
 from bellows_ros.core.live.predictor import Messages, predicted_trajectory
@@ -64,18 +72,22 @@ class Live(residuals.Comparison):
         Duration of the recording per processing time of the predictor.
     took : float
         Wall time of the prediction, s.
+    corners : CornerScores or None
+        Errors in the corners of a tag; None for a body.
 
     """
 
     counts: Mapping[str, int]
     real_time_factor: float
     took: float
+    corners: CornerScores | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
         return {
             **vars(self.scores), 'nrmse': self.scores.nrmse, 'counts': dict(self.counts),
-            'real_time_factor': self.real_time_factor, 'took': self.took}
+            'real_time_factor': self.real_time_factor, 'took': self.took,
+            'corners': self.corners}
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +134,8 @@ class Observed(NamedTuple):
         Estimated mass and centre of mass, if payload.estimate is set.
     warnings : tuple of str
         Warnings on the kind of sensor.
+    corners : mapping of str to CornerScores
+        Errors in the corners of a tag without and with corrections; empty for a body.
 
     """
 
@@ -131,6 +145,7 @@ class Observed(NamedTuple):
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None
     warnings: tuple[str, ...] = ()
+    corners: Mapping[str, CornerScores | None] = MappingProxyType({})
 
     @property
     def sentence(self) -> str:
@@ -178,6 +193,7 @@ class Observed(NamedTuple):
                 for seconds, alarm in self.alarms],
             'payload': self.payload and results.attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
+            'corners': self.corners,
             **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()},
             'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
 
@@ -271,8 +287,10 @@ class Replay(CommandResult):
         validation = self.validation
         errors = [f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
             residuals.AXES, validation.moves, validation.scores.nrmse, strict=True) if moves]
+        if validation.corners:
+            errors = [f'corners {100.0 * validation.corners.nrmse:.2f} %']
         return (f'Validated on {self.bag}, error over motion: {", ".join(errors) or "unknown"}. '
-                f'{validation.verdict()}')
+                f'{text(validation.verdict())}')
 
     def as_json(
         self, limit: float = MAX_NRMSE, parameter_files: Sequence[File] = ()
@@ -287,6 +305,7 @@ class Replay(CommandResult):
             'noise_rms': validation.noise,
             'model_error': validation.model_error,
             'moves': validation.moves,
+            'corners': validation.corners,
             'limit': limit,
             'above_limit': validation.failing(limit),
             'start': validation.runs[0].start,
@@ -337,7 +356,8 @@ def replay(
     recording, signals = load(bag, own), signals_of(bag, values)
     rated, note = _held_part(bag, recording, own, signals) if signals else (recording, '')
     if is_other:
-        rated = replace(rated, settings=replace(rated.settings, tag=None))
+        recording, rated = (replace(each, settings=replace(each.settings, tag=None))
+                            for each in (recording, rated))
     rated = checked(rated, values.cup.length)
     progress('simulating', 0.3)
     free = validated(values, rated)
@@ -442,7 +462,8 @@ def predicted_live(
     compared = _compared(predicted, *compared_poses(recording))
     return Live(
         **vars(compared), counts=_counts(live, recording),
-        real_time_factor=recorded / took, took=took)
+        real_time_factor=recorded / took, took=took,
+        corners=corner_scores(recording, predicted))
 
 
 def tool_messages(recording: Recording, values: Values) -> Messages:
@@ -509,7 +530,7 @@ def _messages_of(stream: PoseStream) -> list[tuple[int, Any, Any, Any]]:
 
 
 def observed(
-    bag: File, recording: Recording, messages: Messages, uncorrected: residuals.Comparison,
+    bag: File, recording: Recording, messages: Messages, uncorrected: Live,
     values: Values, topic: str, signals: Sequence[Signal] = (),
 ) -> Observed:
     """
@@ -523,7 +544,7 @@ def observed(
         Prepared recording.
     messages : Messages
         Messages of the tool.
-    uncorrected : Comparison
+    uncorrected : Live
         Live prediction from these messages without a camera.
     values : mapping
         Parameters by name, including measured.*.
@@ -564,7 +585,9 @@ def observed(
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload,
-        _sensor_sentences(stream, values.measured.tag_size > 0.0))
+        _sensor_sentences(stream, values.measured.tag_size > 0.0),
+        {'prediction alone': uncorrected.corners,
+         'both': corner_scores(recording, corrected)} if recording.views else {})
 
 
 def _sensor_sentences(stream: PoseStream, is_tag: bool) -> tuple[str, ...]:

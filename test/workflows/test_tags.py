@@ -4,12 +4,12 @@ Cups from detected tags whose images are not ideal, against the simulated cup.
 The projection, the lens and the shutter are the test's own.
 """
 
-
-from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
+from bellows_ros.core.geometry.lie import exp_so3, log_so3, rotation_to_quaternion
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.replay import replay
 import numpy as np
 import pytest
 
@@ -96,3 +96,32 @@ def test_a_lens_and_a_smaller_tag_than_stated_leave_k_and_name_the_inputs(motion
     assert found.remappings == {
         'tool_arm/pose': '/tool', 'package/measured': '/detections',
         'package/camera_info': '/info'}
+
+
+@pytest.mark.parametrize(('factor', 'failing'), [(1.0, ()), (1.1, ('corners',))])
+def test_a_replay_is_rated_by_the_corners(factor, failing, root):
+    """At 2 m from the camera a pose errs by millimetres, corners by 0.06 pixels of 1 / 920."""
+    folder = root.parent / 'shared' / 'cell' / 'tag_corners'
+    if not folder.exists():
+        pytest.skip('needs the recordings of ../shared')
+    truth = np.load(folder / '962_val_truth.npz')
+    R, R_tag = truth['camera_R'], truth['tag_R']
+    camera = [*truth['camera_o'], *rotation_to_quaternion(R)]
+    found = replay(folder / '962_val', {
+        'topics.tool_pose': '/tcp_pose_broadcaster/pose', 'topics.tool_twist': '',
+        'topics.package_pose': '/detections', 'tool_pose.offset': '0 0 0 1 0 0 0',
+        'recording.package_frame': 'com', 'recording.align_at_rest': False,
+        'recording.package_world': ' '.join(map(str, camera)),
+        'measured.tag_size': float(truth['side']), 'measured.latency': float(truth['late']),
+        'measured.offset': [*truth['tag_o'], *log_so3(R_tag)],
+        'measured.noise': [0.06 / 920, 10.0],
+        'package.mass': 1.83, 'package.com': [0.004, -0.002, -0.031],
+        'package.inertia': (1.83 / 12 * np.array(
+            [0.16**2 + 0.06**2, 0.2**2 + 0.06**2, 0.2**2 + 0.16**2, 0, 0, 0])).tolist(),
+        'cup.length': 0.046, 'cup.stiffness': (factor * np.diag(truth['K'])).ravel().tolist(),
+        'cup.damping': np.diag(truth['P']).ravel().tolist()}, observe='/detections')
+    scores, corners = found.validation, found.validation.corners
+    assert scores.failing() == scores.worse_than_noise == failing
+    assert (corners.chi2 < 1.5 and corners.nrmse < 0.02) == (not failing)
+    alone, both = found.observed.corners.values()
+    assert not failing or both.rms < 0.8 * alone.rms

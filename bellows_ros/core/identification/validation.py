@@ -11,6 +11,7 @@ from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.result import CHANCE
@@ -31,6 +32,7 @@ from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import AXES, Spectrum
 from bellows_ros.core.signals.savgol import bridged, savgol, weights, with_filtered_noise
+from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -70,6 +72,69 @@ class Run(NamedTuple):
     package: Trajectory
     state: State
     start: str
+
+
+class CornerScores(NamedTuple):
+    """
+    Errors of a prediction in the corners of a tag, weighted by the variances of the views, rad.
+
+    Parameters
+    ----------
+    rms, noise, motion : float
+        RMS error, its part by noise of the corners, and RMS motion relative to the tool.
+    largest : float
+        Largest RMS error of one view.
+    samples : int
+        Number of views.
+
+    """
+
+    rms: float
+    noise: float
+    motion: float
+    largest: float
+    samples: int
+
+    @property
+    def chi2(self) -> float:
+        """Square of the error over its noise."""
+        return (self.rms / self.noise)**2
+
+    @property
+    def nrmse(self) -> float:
+        """RMS error over RMS motion."""
+        return self.rms / self.motion if self.motion > 0.0 else np.nan
+
+    def as_json(self) -> dict[str, object]:
+        """Return the content for a JSON file."""
+        return {**self._asdict(), 'chi2': self.chi2, 'nrmse': self.nrmse,
+                'units': dict.fromkeys(('rms', 'noise', 'motion', 'largest'), 'rad')}
+
+
+def corner_scores(recording: Recording, package: Trajectory) -> CornerScores | None:
+    """Return the errors of predicted poses of B in the corners of a tag; None for a body."""
+    views, tool = recording.views, recording.aligned_tool
+    if views is None:
+        return None
+    first, last = (end(body.stamps_ns[at] for body in (tool, package))
+                   for end, at in ((max, 0), (min, -1)))
+    views = views.select((views.stamps_ns >= first) & (views.stamps_ns <= last))
+    tool, package = (
+        resample(body, views.stamps_ns, LONGEST_GAP_NS) for body in (tool, package))
+    valid = tool.valid & package.valid
+    views, tool, package = views.select(valid), tool.select(valid), package.select(valid)
+    if not len(package):
+        return None
+    mean = residuals.relative_coordinates(tool, package).mean(axis=0)
+    fixed = replace(package, position=tool.position + lie.apply(tool.rotation, mean[:3]),
+                    rotation=tool.rotation @ lie.exp_so3(mean[3:]))
+    errors, variances = views.errors(package)
+    weights = 1.0 / variances / np.sum(1.0 / variances)
+    rms, motion = (float(np.sqrt(weights @ np.mean(each**2, axis=1)))
+                   for each in (errors, views.errors(fixed)[0]))
+    return CornerScores(
+        rms, float(np.mean(1.0 / variances)**-0.5), motion,
+        float(np.sqrt(np.mean(errors**2, axis=1).max())), len(errors))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +201,11 @@ class Validation(residuals.Comparison):
         return np.asarray(np.sqrt(variances + std**2))
 
     @cached_property
+    def corners(self) -> CornerScores | None:
+        """Errors in the corners of a tag, which rate the prediction; None for a body."""
+        return corner_scores(self.recording, self.package)
+
+    @cached_property
     def spectrum(self) -> Spectrum:
         """Spectrum of the errors, with lost samples interpolated."""
         return residuals.spectrum(residuals.interpolated(self.error), self._rate_hz)
@@ -164,24 +234,33 @@ class Validation(residuals.Comparison):
         return ratio
 
     def failing(self, limit: float = MAX_NRMSE) -> tuple[str, ...]:
-        """Return the names of the moving axes with NRMSE above a limit."""
+        """Return the names of the moving axes with NRMSE above a limit; of a tag, 'corners'."""
+        if self.corners:
+            return ('corners',) * (not self.corners.nrmse <= limit)
         above = self.moves & ~(self.scores.nrmse <= limit)
         return tuple(AXES[i] for i in np.flatnonzero(above))
 
     @property
     def worse_than_noise(self) -> tuple[str, ...]:
         """Names of the failing axes with errors above `CHANCE` times the noise."""
+        if self.corners:
+            return self.failing() if self.corners.chi2 > CHANCE**2 else ()
         beyond = self.scores.rms > CHANCE * self.noise
         return tuple(name for name in self.failing() if beyond[AXES.index(name)])
 
-    def verdict(self, limit: float = MAX_NRMSE) -> str:
-        """Return a sentence on whether the moving axes are within a limit."""
-        part = f'{100.0 * limit:g} % of the motion'
-        if failing := self.failing(limit):
-            return f'Above {part}: {", ".join(failing)}.'
-        if not self.moves.any():
-            return 'No axis moves enough for a verdict: record a larger motion.'
-        return f'All axes that move are predicted within {part}.'
+    def verdict(self, limit: float = MAX_NRMSE) -> Finding:
+        """Return the finding on whether corners or moving axes are within a limit."""
+        failing = self.failing(limit)
+        if corners := self.corners:
+            return Finding('corners', Level.OK, {
+                'rms': corners.rms, 'motion': corners.motion, 'ratio': corners.nrmse,
+                'chi2': corners.chi2, 'relation': 'above' if failing else 'within',
+                'limit': limit, 'position': float(self.scores.rms[:3].max()),
+                'rotation': float(self.scores.rms[3:].max())})
+        if not (failing or self.moves.any()):
+            return Finding('small_motion')
+        return Finding('above_limit' if failing else 'within_limit', Level.OK, {
+            'limit': limit, 'axes': failing})
 
 
 def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> Validation:

@@ -481,6 +481,15 @@ class TagViews:
             noise.variance(exposure * speed, self.frames), exposure * speed,
             np.sqrt(np.diag(inverse)))
 
+    def errors(self, package: Trajectory) -> tuple[Array, Array]:
+        """Return measured minus predicted corners (N, 8) of a package, and variances (N,)."""
+        still = np.zeros((len(package), 6))
+        twist = still if package.twist is None else package.twist
+        rows = np.column_stack([
+            package.position, lie.rotation_to_quaternion(package.rotation), twist])
+        out, _, speed = views(rows, still, self.sight, self.corners)
+        return out[:, :, 0], self.tag.noise.variance(self.exposure * speed, self.frames)
+
     def poses_near(self, package: Trajectory) -> tuple[Trajectory, Array]:
         """
         Return the poses of B for the corners, near predicted poses, and RMS errors (6,).
