@@ -1,60 +1,86 @@
 """
-Measure the speed of this package.
+Measure the speed of this package: the node, its start, and a camera.
 
-    python -m benchmarks                # everything, some twenty minutes on an idle machine
-    python -m benchmarks --only step    # one section
+    python -m benchmarks                # some minutes on an idle machine
+    python -m benchmarks --only node    # one section
 """
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime, UTC
-import os
-from pathlib import Path
 import platform
-import re
-import sys
-from typing import Any
+import tempfile
+import time
 
-from bellows_ros.files.results import versions
+from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.parameters.checks import resolve
+import numpy as np
 
-from . import camera, live, offline, plans, startup, step
-from .tables import markdown, tables
+from . import live
+from .processes import IMPORTS, in_process, READY
 
-SECTIONS: Mapping[str, Callable[[bool], dict[str, Any]]] = {
-    'step': step.run, 'node': live.run, 'offline': offline.run, 'startup': startup.run,
-    'plans': plans.run, 'camera': camera.run}
-
-
-def measured(sections: Sequence[str], short: bool = False) -> dict[str, Any]:
-    """Return the figures of sections and of the machine; short sections are only a smoke test."""
-    results: dict[str, Any] = {'machine': machine()}
-    for name in sections:
-        print(f'measuring {name}', file=sys.stderr, flush=True)
-        results[name] = SECTIONS[name](short)
-    return results
+Figures = dict[str, Sequence[float]]
+"""Times in s by name; their median is printed."""
 
 
-def machine() -> dict[str, Any]:
-    """Return processor, system and versions of the measurement."""
-    installed = versions()
-    name = re.search(r'^model name\s*: (.*)$', Path('/proc/cpuinfo').read_text(), re.MULTILINE)
-    return {
-        'processor': name[1] if name else platform.processor(), 'cores': os.cpu_count(),
-        'load': os.getloadavg()[0], 'system': f'{platform.system()} {platform.machine()}',
-        'python': installed.pop('python'), 'bellows_ros': installed.pop('bellows_ros'),
-        'versions': installed, 'date': datetime.now(UTC).date().isoformat()}
+def start(short: bool) -> Figures:
+    """Return times from the start of an interpreter with an empty and with a filled cache."""
+    imports, cold, warm = list[float](), list[float](), list[float]()
+    repeats = 1 if short else 3
+    for _ in range(repeats):
+        with tempfile.TemporaryDirectory() as folder:
+            for code, times in [(READY, cold), *[(READY, warm), (IMPORTS, imports)] * repeats]:
+                begin = time.monotonic()
+                done = in_process(code, environment={'NUMBA_CACHE_DIR': folder})['done']
+                times.append(done - begin)
+    return {'numba, numpy and rclpy imported': imports, 'node ready': warm,
+            'node ready, nothing compiled': cold}
+
+
+def camera(short: bool) -> Figures:
+    """Return times of a pose of the tool at 500 Hz, and of a measured pose at 30 Hz."""
+    t = np.arange(500, 1500 if short else 10_500) / 500.0
+    speed, size = 2.0 * np.pi * np.array([1.1, 1.3, 1.7]), np.array([0.02, 0.02, 0.01])
+    positions = (size * np.sin(speed * t[:, None])).tolist()
+    velocities = (size * speed * np.cos(speed * t[:, None])).tolist()
+    model = Cup.thesis(), Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
+    predictors = [LivePredictor(*model, 9.81, 'tool') for _ in range(2)]
+    predictors[1].package.observer.use_values(resolve({}, ()))
+    predictors[1].package.set_model(*model)
+    alone, both, measured = times = list[float](), list[float](), list[float]()
+    for k, (position, linear) in enumerate(zip(positions, velocities, strict=True)):
+        stamp_ns = (k + 500) * 2_000_000
+        for predictor, of_pose in zip(predictors, (alone, both), strict=True):
+            predictor.expect_twists(True)
+            predictor.on_twist(stamp_ns, tuple(linear), (0.0, 0.0, 0.0))
+            begin = time.perf_counter()
+            (prediction,) = predictor.on_pose(
+                stamp_ns, 'world', tuple(position), (0.0, 0.0, 0.0, 1.0))
+            of_pose.append(time.perf_counter() - begin)
+        if k % 17 == 16:
+            begin = time.perf_counter()
+            predictor.on_measured(
+                stamp_ns, 'world', prediction.position, prediction.quaternion_xyzw)
+            measured.append(time.perf_counter() - begin)
+    names = 'pose without a camera', 'pose with one', 'measured pose'
+    return {name: each[len(each) // 4:] for name, each in zip(names, times, strict=True)}
+
+
+SECTIONS: Mapping[str, Callable[[bool], Figures]] = {
+    'node': live.run, 'start': start, 'camera': camera}
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(
         prog='python -m benchmarks', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--only', choices=SECTIONS, metavar='SECTION', help=', '.join(SECTIONS))
-    arguments = parser.parse_args()
-    results = measured([arguments.only] if arguments.only else list(SECTIONS))
-    for table in tables(results).values():
-        print(markdown(table), end='\n\n')
+    only = parser.parse_args().only
+    print(f'{platform.processor()} {platform.system()}, Python {platform.python_version()}')
+    for section in [only] if only else SECTIONS:
+        for name, times in SECTIONS[section](False).items():
+            print(f'{1e3 * np.median(times):10.3f} ms  {name}', flush=True)
 
 
 if __name__ == '__main__':

@@ -1,8 +1,9 @@
 """
 Send tool poses and twists at a rate and measure the time until each answer.
 
-`python -m benchmarks.probe RATE SECONDS PID [poses]` prints JSON: latencies in s, and the
-processor time and memory of the process that answers. With `poses` no twists are sent.
+`python -m benchmarks.probe RATE SECONDS PID` prints JSON: latencies and processor time (s) of the
+process that answers. `python -m benchmarks.probe echo` is a bare node that sends every tool pose
+back, spun as the commands of this package: the floor for the latency of the predictor.
 """
 
 from collections.abc import Callable
@@ -12,13 +13,15 @@ import math
 from pathlib import Path
 import sys
 import time
-from typing import Any
 
+from bellows_ros.nodes.command import run
 from bellows_ros.nodes.conversions import stamp_to_ns
 from geometry_msgs.msg import PoseStamped, TwistStamped
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 
 QUEUE = 10_000
 FIRST_NS = 1_000_000_000
@@ -38,14 +41,13 @@ TURNS = 2.0 * math.pi
 class Probe(Node):
     """Sender of tool poses, with the times of each message and its answer."""
 
-    def __init__(self, rate_hz: float, seconds: float, with_twists: bool = True) -> None:
+    def __init__(self, rate_hz: float, seconds: float) -> None:
         """Make the topics and all messages."""
         super().__init__('probe')
         self.sent: dict[int, int] = {}
         self.answered: dict[int, int] = {}
         self._pose_out = self.create_publisher(PoseStamped, 'tool_arm/pose', QUEUE)
-        self._twist_out = with_twists and self.create_publisher(
-            TwistStamped, 'tool_arm/twist', QUEUE)
+        self._twist_out = self.create_publisher(TwistStamped, 'tool_arm/twist', QUEUE)
         self.create_subscription(PoseStamped, 'package/pose', self._on_answer, QUEUE)
         self._period = 1.0 / rate_hz
         self._messages = [_messages(k * self._period) for k in range(round(seconds * rate_hz))]
@@ -60,8 +62,8 @@ class Probe(Node):
         both = self._spin_until(
             lambda: self._pose_out.get_subscription_count() > 0
             and self.count_publishers('package/pose') > 0, DISCOVERY)
-        if twists := self._twist_out:
-            self._spin_until(lambda: twists.get_subscription_count() > 0, TWISTS_DISCOVERY)
+        self._spin_until(
+            lambda: self._twist_out.get_subscription_count() > 0, TWISTS_DISCOVERY)
         return both
 
     def _spin_until(self, true: Callable[[], bool], seconds: float) -> bool:
@@ -73,11 +75,11 @@ class Probe(Node):
             self.executor_.spin_once(timeout_sec=0.05)
         return True
 
-    def play(self, after: float = 0.0) -> None:
-        """Send each message at its time, stamped from a time (s) on; wait for the last answer."""
+    def play(self) -> None:
+        """Send each message at its time, and wait for the last answer."""
         self.sent, self.answered = {}, {}
         for k, pair in enumerate(self._messages):
-            stamp_ns = FIRST_NS + round((after + k * self._period) * 1e9)
+            stamp_ns = FIRST_NS + round(k * self._period * 1e9)
             for message in pair:
                 message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         start = time.perf_counter() + 0.2
@@ -85,8 +87,7 @@ class Probe(Node):
             self._wait_until(start + k * self._period)
             self.sent[stamp_to_ns(pose.header.stamp)] = time.perf_counter_ns()
             self._pose_out.publish(pose)
-            if self._twist_out:
-                self._twist_out.publish(twist)
+            self._twist_out.publish(twist)
         self._spin_until(lambda: len(self.answered) == len(self.sent), LAST_ANSWER)
 
     def _wait_until(self, due: float) -> None:
@@ -105,40 +106,46 @@ def _messages(seconds: float) -> tuple[PoseStamped, TwistStamped]:
     return pose, twist
 
 
-def used(pid: int) -> dict[str, float]:
-    """Return the processor time (s) and the memory (bytes) of a process."""
-    nanoseconds = sum(
+def used(pid: int) -> float:
+    """Return the processor time (s) of a process."""
+    return 1e-9 * sum(
         int(path.read_text().split()[0]) for path in Path(f'/proc/{pid}/task').glob('*/schedstat'))
-    lines = Path(f'/proc/{pid}/status').read_text().splitlines()
-    memory = next(1024 * int(line.split()[1]) for line in lines if line.startswith('VmRSS'))
-    return {'seconds': nanoseconds * 1e-9, 'memory': memory}
+
+
+class Echo(Node):
+    """Send `tool_arm/pose` on as `package/pose`; never finished."""
+
+    def __init__(self) -> None:
+        """Make the topics."""
+        super().__init__('echo')
+        self.finished = Future()
+        publisher = self.create_publisher(PoseStamped, 'package/pose', 100)
+        qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(PoseStamped, 'tool_arm/pose', publisher.publish, qos)
+
+    def close(self) -> None:
+        """Take the node down."""
+        self.destroy_node()
 
 
 def main() -> None:
     """Measure and print."""
-    rate, seconds, pid, *only = sys.argv[1:]
+    rate, seconds, pid = sys.argv[1:]
     rclpy.init()
-    probe = Probe(float(rate), float(seconds) + WARM_SECONDS, not only)
+    probe = Probe(float(rate), float(seconds) + WARM_SECONDS)
     if not probe.connected():
         sys.exit('no answer: the node that is measured was not found')
     gc.freeze()
     before = used(int(pid))
     probe.play()
-    print(json.dumps(_result(probe, before, used(int(pid)))))
-
-
-def _result(probe: Probe, before: dict[str, float], after: dict[str, float]) -> dict[str, Any]:
-    """Return the figures of a measurement."""
-    counted = [stamp for stamp in probe.sent if stamp >= FIRST_NS + WARM_SECONDS * 1e9]
-    return {
-        'sent': len(probe.sent),
-        'answered': len(probe.answered),
+    print(json.dumps({
+        'answered': len(probe.answered), 'processor_seconds': used(int(pid)) - before,
         'latency': [
-            (probe.answered[stamp] - probe.sent[stamp]) * 1e-9
-            for stamp in counted if stamp in probe.answered],
-        'processor_seconds': after['seconds'] - before['seconds'],
-        'memory': after['memory']}
+            (probe.answered[stamp] - sent) * 1e-9 for stamp, sent in probe.sent.items()
+            if stamp >= FIRST_NS + WARM_SECONDS * 1e9 and stamp in probe.answered]}))
 
 
 if __name__ == '__main__':
+    if sys.argv[1:] == ['echo']:
+        sys.exit(run('echo', (), 'benchmarks.probe:Echo'))
     main()

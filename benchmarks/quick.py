@@ -1,29 +1,26 @@
 """
 A short form of the benchmarks: ratios of processor times within one run, against wide bounds.
 
-    python -m benchmarks.quick [--cold]
+    python -m benchmarks.quick
 
 It takes less than a minute on an idle machine, and fails where a figure exceeds its bound, about
-twice the usual value. With --cold it measures, in some minutes, commands with an empty cache, in
-units of a rosbags loop over ten minutes of recording.
+twice the usual value.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 import sys
 import tempfile
 from typing import Any
 
-from .offline import IDENTIFY, make_recording, PLAIN_LOOP, REPLAY
-from .startup import IMPORTS, READY, TOPICS
-from .tables import MEBI
-from .timing import in_process
+from bellows_ros.files.parameter_files import read_parameters, write_parameters
+from bellows_ros.files.safe_yaml import load
+from bellows_ros.workflows.simulate import simulate_recording
+
+from .processes import IMPORTS, in_process, READY, ROOT
 
 DURATION = 60.0
 """Duration of the recording, s."""
-
-TEN_MINUTES = 600.0
-"""Duration of the recording whose reading is the unit of budgets, s."""
 
 BOUNDS = {
     'least squares with verdict / rosbags reading': 6.0, 'bellows replay / rosbags reading': 10.0,
@@ -33,59 +30,61 @@ BOUNDS = {
     'memory of the predictor when ready (MiB)': 220.0}
 """Greatest ratios: twice the measured values, or slightly above them for memory."""
 
-
-COMMAND = """
-import os, sys
-from bellows_ros.cli import main
-code = main(sys.argv[1:])
-own, children = os.times()[:2], os.times()[2:4]
-print('{"processor": %f}' % (sum(own) + sum(children)))
-sys.exit(code)
+READ = """
+from pathlib import Path
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import get_typestore, Stores
+used = time.process_time()
+with AnyReader([Path(sys.argv[1])], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+    for connection, _, data in reader.messages():
+        reader.deserialize(data, connection.msgtype)
+done(processor=time.process_time() - used)
 """
 
-PLANNED = ('--params', 'bags/tossing.yaml')
-COLD: Mapping[str, tuple[float, tuple[str, ...]]] = {
-    'predictor ready': (1.2, (READY,)), 'kernels of all its topics': (3.0, (TOPICS,)),
-    'bellows plan': (2.0, ('plan', 'bags/transport.yaml', *PLANNED)),
-    'bellows toss': (2.0, ('toss', 'bags/throw.yaml', *PLANNED, '--release', '2.95')),
-    'bellows replay --observe': (5.0, (
-        'replay', 'bags/validation', '--params', 'bags/package.yaml', '--params', 'bags/cup.yaml',
-        '--observe', '/package/pose')),
-    'bellows identify': (5.0, (
-        'identify', 'bags/identification', '--params', 'bags/package.yaml'))}
-"""Budgets of processor time with an empty cache, in rosbags loops over ten minutes."""
+IDENTIFY = """
+from bellows_ros.core import configure_process
+configure_process()
+from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.workflows.identify import identify
+bag, = sys.argv[1:]
+used = time.process_time()
+identify({**read_parameters(bag + '.yaml'), 'bags': [bag], 'fit.method': 'least_squares'})
+done(processor=time.process_time() - used)
+"""
+
+REPLAY = """
+from bellows_ros.cli import main
+bag, = sys.argv[1:]
+if main(['replay', bag, '--params', bag + '.yaml', '--json', bag + '.json']):
+    sys.exit('bellows replay failed')
+done()
+"""
 
 
-def run_cold(duration: float = DURATION) -> dict[str, float]:
-    """Return the figures by the names of `COLD`."""
-    found = {}
-    with tempfile.TemporaryDirectory() as folder:
-        make_recording(Path(folder) / 'bag', duration)
-        loop = _best(lambda: in_process(PLAIN_LOOP, f'{folder}/bag'))['processor']
-        loop *= TEN_MINUTES / duration
-        for number, (name, (_, arguments)) in enumerate(COLD.items()):
-            code = COMMAND if arguments[1:] else arguments[0]
-            done = in_process(code, *arguments, environment={
-                'NUMBA_CACHE_DIR': f'{folder}/{number}'})
-            found[name] = done['processor'] / loop
-    return found
+def make_recording(bag: Path) -> None:
+    """Simulate a recording, with its parameter file beside it."""
+    parameters = {**read_parameters(ROOT / 'bags' / 'package.yaml'),
+                  **read_parameters(ROOT / 'config' / 'cup_thesis.yaml')}
+    motion = load(ROOT / 'bags' / 'identification.yaml')
+    simulate_recording(parameters, {**motion, 'duration': DURATION}, bag)
+    write_parameters(f'{bag}.yaml', parameters)
 
 
-def run(duration: float = DURATION) -> dict[str, float]:
+def run() -> dict[str, float]:
     """Return the figures by the names of `BOUNDS`."""
     with tempfile.TemporaryDirectory() as folder:
         bag, cache = Path(folder) / 'bag', {'NUMBA_CACHE_DIR': f'{folder}/cache'}
-        make_recording(bag, duration)
+        make_recording(bag)
         cold = in_process(READY, environment=cache)
         ready = _best(lambda: in_process(READY, environment=cache))
         imports = _best(lambda: in_process(IMPORTS))
-        reading = _best(lambda: in_process(PLAIN_LOOP, str(bag)))
-        fit = _best(lambda: in_process(IDENTIFY, str(bag), 'least_squares'))
-        replay = _best(lambda: in_process(REPLAY, str(bag), f'{bag}.json'))
+        reading, fit, replay = (
+            _best(lambda code=code: in_process(code, str(bag)))  # type: ignore[misc]
+            for code in (READ, IDENTIFY, REPLAY))
     return dict(zip(BOUNDS, (
         fit['processor'] / reading['processor'], replay['processor'] / reading['processor'],
-        fit['peak'] / MEBI, replay['peak'] / MEBI, ready['processor'] / imports['processor'],
-        cold['processor'] / ready['processor'], ready['peak'] / MEBI), strict=True))
+        fit['peak'], replay['peak'], ready['processor'] / imports['processor'],
+        cold['processor'] / ready['processor'], ready['peak']), strict=True))
 
 
 def _best(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
@@ -95,13 +94,11 @@ def _best(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 def main() -> int:
     """Print the figures and their bounds; return 1 where one is exceeded."""
-    is_cold = '--cold' in sys.argv
-    bounds = {name: bound for name, (bound, _) in COLD.items()} if is_cold else BOUNDS
-    results = run_cold() if is_cold else run()
+    results = run()
     for name, value in results.items():
-        mark = '  EXCEEDED' if value > bounds[name] else ''
-        print(f'{value:8.2f}  at most {bounds[name]:5g}  {name}{mark}')
-    return int(any(value > bounds[name] for name, value in results.items()))
+        mark = '  EXCEEDED' if value > BOUNDS[name] else ''
+        print(f'{value:8.2f}  at most {BOUNDS[name]:5g}  {name}{mark}')
+    return int(any(value > BOUNDS[name] for name, value in results.items()))
 
 
 if __name__ == '__main__':

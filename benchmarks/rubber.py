@@ -6,8 +6,10 @@ this over three decades, each integrated separately. `python -m benchmarks.rubbe
 of docs/evidence.md.
 """
 
+from collections.abc import Callable
 from typing import Any
 
+from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
@@ -24,9 +26,8 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings, Recording
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.core.synthetic.motion import smooth_step
 import numpy as np
-
-from .paths import driven, Path, step
 
 TIMES = np.array([0.006, 0.03, 0.15, 0.7, 3.0])
 """Time constants of the branches, s."""
@@ -38,6 +39,25 @@ CUP = Cup(np.diag([4200.0, 4200.0, 7200.0, 3.2, 3.2, 1.05]),
 PLATE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.0, 0.0, -0.03))
 GRAVITY = 9.81
 RUNS = 40
+
+Path = Callable[[Array], Array]
+"""Function from times (N,), s, to position (m) and rotation vector (rad) of the tool (N, 6)."""
+
+
+def step(t: Array, start: float, duration: float) -> Array:
+    """Return a smooth step from 0 to 1."""
+    return np.asarray(smooth_step((t - start) / duration)[0])
+
+
+def driven(path: Path, seconds: float, rate_hz: float = 360.0) -> Trajectory:
+    """Return a path as a trajectory with twists."""
+    stamps = np.round(np.arange(int(seconds * rate_hz)) * 1e9 / rate_hz).astype(np.int64)
+    t, h = stamps * 1e-9, 1e-5
+    x, rate = path(t), (path(t + h) - path(t - h)) / (2.0 * h)
+    R = exp_so3(x[:, 3:])
+    return Trajectory(stamps + 10**9, x[:, :3], R, np.hstack([
+        lie.apply(np.swapaxes(R, 1, 2), rate[:, :3]),
+        lie.apply(lie.dexp(-x[:, 3:]), rate[:, 3:])]))
 
 
 def strengths(loss_factor: float) -> Array:

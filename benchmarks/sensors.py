@@ -16,23 +16,21 @@ from collections.abc import Mapping, Sequence
 import time
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.quantities import weak_prior
 from bellows_ros.core.identification.residuals import evaluated
-from bellows_ros.core.identification.segments import measured_segments, MeasuredSegment, Segment
+from bellows_ros.core.identification.segments import MeasuredSegment, Segment
 from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import Structure, structure_named
 from bellows_ros.core.parameters.checks import Settings
-from bellows_ros.core.recording.preparation import prepare
-from bellows_ros.core.recording.recording import BodyNoise, PrepareSettings
+from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.sensors.body import poses_of
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.savgol import correlated
-from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import motion_from
 import numpy as np
 
@@ -55,40 +53,23 @@ class Cell(NamedTuple):
     """
     Sensors.
 
-    Rate (Hz) and noise (m, rad) of tool and package, memory of the noise (s), its distribution,
-    arrival jitter (s) in bursts, and whether the package has a world, a clock and a marker of its
-    own.
+    Rate (Hz) and noise (m, rad) of tool and package, and whether the package has a world, a clock
+    and a marker of its own.
     """
 
     tool_hz: float
     tool: tuple[float, float]
     package_hz: float
     package: tuple[float, float]
-    memory: float = 0.0
-    heavy_tails: bool = False
-    uneven_axes: bool = False
-    jitter: float = 0.0
     apart: bool = False
 
 
 ROBOT, CAPTURE = (2e-5, 5e-5), (3e-4, 1e-3)
-CAMERA = Cell(500.0, ROBOT, 30.0, (1e-3, 5e-3))
-MOCAP = Cell(360.0, CAPTURE, 360.0, CAPTURE)
 CELLS: dict[str, Cell] = {
-    **{f'robot, {rate} Hz camera, {mm:g} mm': CAMERA._replace(
-        package_hz=float(rate), package=(mm * 1e-3, mm * 5e-3))
-       for rate, mm in ((30, 0.1), (30, 1.0), (30, 3.0), (10, 1.0), (60, 1.0))},
-    'robot, 30 Hz camera, 1 mm, apart': CAMERA._replace(apart=True),
-    'robot, 30 Hz camera, 1 mm, Student t': CAMERA._replace(heavy_tails=True),
-    'robot, 30 Hz camera, 1 mm, z 3 times': CAMERA._replace(uneven_axes=True),
-    **{f'motion capture, {mm:g} mm': MOCAP._replace(
-        tool=(mm * 1e-3, rad), package=(mm * 1e-3, rad))
-       for mm, rad in ((0.1, 5e-4), (0.3, 1e-3), (1.0, 3e-3), (2.0, 5e-3))},
-    'motion capture, 0.3 mm, 33 ms': MOCAP._replace(memory=0.033),
-    'motion capture, 0.3 mm, 100 ms': MOCAP._replace(memory=0.1),
-    'motion capture, 0.3 mm, Student t': MOCAP._replace(heavy_tails=True),
-    'motion capture, 0.3 mm, bursts': MOCAP._replace(
-        tool_hz=120.0, package_hz=120.0, jitter=8e-3)}
+    'robot, 30 Hz camera, 0.1 mm': Cell(500.0, ROBOT, 30.0, (1e-4, 5e-4)),
+    'robot, 30 Hz camera, 1 mm': Cell(500.0, ROBOT, 30.0, (1e-3, 5e-3)),
+    'robot, 30 Hz camera, 1 mm, apart': Cell(500.0, ROBOT, 30.0, (1e-3, 5e-3), True),
+    'motion capture, 0.3 mm': Cell(360.0, CAPTURE, 360.0, CAPTURE)}
 
 APART = {'time_offset': (8e-3,), 'package_world': (4e-3, -3e-3, 5e-3, 0.01, -0.015, 0.02),
          'package_marker': (0.004, 0.003, -0.005, 0.02, 0.03, -0.02)}
@@ -96,17 +77,14 @@ APART = {'time_offset': (8e-3,), 'package_world': (4e-3, -3e-3, 5e-3, 0.01, -0.0
 
 
 def sensed(
-    poses: Trajectory, stamps: Stamps, rate: float, std: Array, cell: Cell,
-    rng: np.random.Generator, noise: float = 1.0,
-) -> tuple[Trajectory, Trajectory, BodyNoise]:
-    """Return true poses at stamps, poses with noise std (6,) times a factor, and the std."""
-    true, count = resample(poses, stamps), len(stamps)
-    e = (rng.standard_t(4.0, (count, 6)) / np.sqrt(2.0) if cell.heavy_tails
-         else rng.standard_normal((count, 6)))
-    ar1_coefficient = float(np.exp(-1.0 / (rate * cell.memory))) if cell.memory else 0.0
-    e = noise * std * correlated(e, ar1_coefficient)
-    return true, Trajectory(stamps, true.position + e[:, :3],
-                            true.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, ar1_coefficient)
+    poses: Trajectory, rate: float, std: Array, duration: float, rng: np.random.Generator,
+    noise: float,
+) -> tuple[Trajectory, BodyNoise]:
+    """Return poses at a rate with noise std (6,) times a factor, and the std."""
+    stamps = np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64)
+    true, e = resample(poses, stamps), noise * std * rng.standard_normal((len(stamps), 6))
+    return Trajectory(stamps, true.position + e[:, :3],
+                      true.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, 0.0)
 
 
 def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[MeasuredSegment]:
@@ -115,30 +93,16 @@ def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list
     motion = motion_from(Settings({**MOTION, 'duration': duration + 0.5}), rng)
     tool = motion.at_rate(1000.0, 0)
     body = simulate(Cup.thesis(), PLATE, tool, gravity=GRAVITY)
-    axes = np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0]) if cell.uneven_axes else np.ones(6)
-    (_, tool, tool_noise), (_, body, package_noise) = (
-        sensed(poses, np.rint(np.arange(int(duration * rate)) * 1e9 / rate).astype(np.int64), rate,
-               np.repeat(size, 3) * axes, cell, rng, noise)
+    (tool, tool_noise), (body, package_noise) = (
+        sensed(poses, rate, np.repeat(size, 3), duration, rng, noise)
         for poses, rate, size in ((tool, cell.tool_hz, cell.tool),
                                   (body, cell.package_hz, cell.package)))
-    if cell.jitter and noise:
-        tool_stream, package_stream = (
-            PoseStream(name, 'world', _arrivals(poses.stamps_ns, cell.jitter, rng), poses.position,
-                       poses.rotation) for name, poses in (('tool', tool), ('package', body)))
-        return measured_segments(prepare(
-            tool_stream, package_stream, PrepareSettings(payload=PLATE, gravity=GRAVITY)))
     if cell.apart:
         wrong = {name: np.array(value) for name, value in APART.items()}
         late = round(float(wrong.pop('time_offset')[0]) * 1e9)
         body = poses_of(body, wrong, np.zeros(3))
         body = Trajectory(body.stamps_ns - late, body.position, body.rotation)
     return [MeasuredSegment(tool, body, PLATE, GRAVITY, tool_noise, package_noise)]
-
-
-def _arrivals(stamps: Stamps, jitter: float, rng: np.random.Generator) -> Stamps:
-    """Return arrival stamps (ns), delayed by up to jitter (s), in order."""
-    late = np.rint(jitter * 1e9 * rng.random(len(stamps))).astype(np.int64)
-    return np.asarray(np.maximum.accumulate(stamps + late) + np.arange(len(stamps)))
 
 
 class Trial(NamedTuple):

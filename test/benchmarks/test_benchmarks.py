@@ -1,58 +1,26 @@
-"""Every measurement runs in its short form, its figures come into the page, and they are right."""
-
-import ast
-import json
-from pathlib import Path
+"""Every measurement runs in its short form, and fits of simulated sensors are right."""
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.kernels import cup_wrench
-from bellows_ros.files.results import format_json
 from benchmarks import __main__ as command
-from benchmarks import many, offline, real_cup, startup, step
+from benchmarks import real_cup
 from benchmarks.sensors import CELLS, JUDGED, trial
-from benchmarks.tables import markdown, MEBI, tables
 import numpy as np
 import pytest
-
-NEEDED = {'node': 'rclpy', 'startup': 'rclpy'}
-LONG = {'node', 'offline', 'startup'}
 
 pytestmark = pytest.mark.lane
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
 @pytest.mark.parametrize('section', [
-    pytest.param(section, marks=[pytest.mark.stress] if section in LONG else [])
-    for section in command.SECTIONS])
-def test_short_form_measures_and_shows(section):
-    if section in NEEDED:
-        pytest.importorskip(NEEDED[section])
-    found = json.loads(format_json(command.measured([section], short=True)))
-    made = tables(found)
-    assert made
-    for table in made.values():
-        assert len({len(row) for row in table}) == 1
-        assert markdown(table)
-
-
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
-def test_time_and_memory_of_a_recording_do_not_depend_on_the_number_of_others(tmp_path):
-    many.make(tmp_path, 6, 4.0)
-    one, six = many.scaling(tmp_path, (1, 6))
-    assert six['seconds'] < 2.0 * one['seconds']
-
-
-@pytest.mark.stress
-@pytest.mark.timeout(900)
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
-def test_many_recordings_give_one_cup_by_any_route_to_a_small_client():
-    pytest.importorskip('distributed', reason='extra dask')
-    found = list(many.run(6, 5.0, (1, 2))['fits'].values())
-    assert [fit['killed'] for fit in found] == [False, True, True]
-    assert len({(*fit['K'], *fit['std']) for fit in found}) == 1
-    assert max(fit['peak'] for fit in found) < 400 * MEBI
+    pytest.param('node', marks=pytest.mark.stress),
+    pytest.param('start', marks=pytest.mark.stress), 'camera'])
+def test_short_form_measures(section):
+    if section != 'camera':
+        pytest.importorskip('rclpy')
+    assert all(min(times) > 0.0 for times in command.SECTIONS[section](True).values())
 
 
 def test_a_cup_of_the_law_is_explained_wholly_and_found_from_wrenches_at_rest():
@@ -71,30 +39,10 @@ def test_a_cup_of_the_law_is_explained_wholly_and_found_from_wrenches_at_rest():
     np.testing.assert_allclose(numbers[[0, 6, 11]], [900.0, 900.0, 1500.0], rtol=0.02)
 
 
-SCRIPTS = [
-    node.value
-    for module in (offline, startup, step)
-    for node in ast.walk(ast.parse(Path(module.__file__).read_text()))
-    if isinstance(node, ast.Constant) and isinstance(node.value, str) and '\nimport ' in node.value
-]
-
-
-@pytest.mark.parametrize('code', SCRIPTS, ids=range(len(SCRIPTS)))
-def test_scripts_of_other_processes_import_what_is_there(code):
-    if 'rclpy' in code:
-        pytest.importorskip('rclpy')
-    for node in ast.walk(ast.parse(code)):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            exec(ast.unparse(node), {})
-
-
 @pytest.mark.parametrize(('sensors', 'seed', 'seconds', 'structure'), [
     ('robot, 30 Hz camera, 1 mm, apart', 2, 30.0, 'axisymmetric'),
-    ('motion capture, 0.3 mm', 0, 8.0, 'full'),
-    pytest.param('robot, 30 Hz camera, 1 mm', 16, 8.0, 'full', marks=pytest.mark.xfail(
-        strict=True, reason='K x of 8 s keeps no finite standard error'))])
-def test_all_estimates_are_printed_with_their_errors(
-        sensors, seed, seconds, structure):
+    ('motion capture, 0.3 mm', 0, 8.0, 'full')])
+def test_all_estimates_are_printed_with_their_errors(sensors, seed, seconds, structure):
     """From a start twice too large."""
     found = trial(CELLS[sensors], seed, seconds, structure)
     judged = found.bound < JUDGED

@@ -13,8 +13,9 @@ from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.safe_yaml import load as read_yaml
 from bellows_ros.workflows.recordings import load
-from benchmarks.offline import make_recording
+from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 import pytest
 
@@ -177,8 +178,11 @@ def test_sound_poses_have_no_fault_in_one_frame_or_two(seed):
 
 def test_a_cup_that_swings_widely_is_in_one_frame(tmp_path):
     """The swing rotates the estimated relation of both rotations by 30 degrees, no frame."""
-    make_recording(tmp_path / 'bag', 60.0)
-    values = resolve({**read_parameters(f'{tmp_path}/bag.yaml'), 'recording.package_frame': 'com'})
+    parameters = {**read_parameters('bags/package.yaml'),
+                  **read_parameters('config/cup_thesis.yaml')}
+    simulate_recording(
+        parameters, {**read_yaml('bags/identification.yaml'), 'duration': 60.0}, tmp_path / 'bag')
+    values = resolve({**parameters, 'recording.package_frame': 'com'})
     assert len(load(tmp_path / 'bag', values).measured_package.stamps_ns) > 20_000
 
 
