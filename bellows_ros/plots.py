@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3
-from bellows_ros.core.live.vacuum import equivalent_box
 from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
@@ -53,12 +52,13 @@ GAP_PERIODS = 3.0
 """Shortest gap that interrupts a line, median periods."""
 MAX_FACTOR = 4.0
 """Largest drawn safety factor, relative to the required factor."""
-CUP_RADIUS, RINGS, CONVOLUTIONS = 0.020, 13, 2.5
-"""Radius (m), number of circles, and number of folds of the drawn cup."""
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 EDGES = [[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit]
-FACES = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
-"""Corners of a unit box, and its edges and faces as indices of corners."""
+"""Corners of a unit box, and its edges as indices of corners."""
+REACH = 3.0
+"""Largest distance of a held package's lip from the tool tip, lengths of the cup."""
+MIN_MARGIN = 0.06
+"""Smallest margin about the motion in an animation, m."""
 
 
 class Scene(NamedTuple):
@@ -90,17 +90,15 @@ def write(path: File, result: CommandResult) -> None:
 
     """
     require_ending(path)
-    if Path(path).suffix.lower() == '.gif':
-        shown = result.shown()
-        write_bytes(path, animation([*DRAWINGS[type(shown).__name__][1](shown)]))
-    else:
-        write_figure(path, figure_of(result))
+    if Path(path).suffix.lower() != '.gif':
+        return write_figure(path, figure_of(result))
+    shown = result.shown()
+    write_bytes(path, animation([*DRAWINGS[type(shown).__name__][1](shown)]))
 
 
 def write_figure(path: File, figure: Any) -> None:
     """Write a figure in the format of the name's ending, whole or not at all."""
-    ending = Path(path).suffix.lower()[1:]
-    write_bytes(path, encoded(figure, ending))
+    write_bytes(path, encoded(figure, Path(path).suffix.lower()[1:]))
 
 
 def svg_of(figure: Any) -> str:
@@ -139,17 +137,6 @@ def figure_of(result: CommandResult) -> Any:
 
 
 CommandResult.figure = figure_of
-
-
-def series(
-    panel: Any, title: str, x: Array, values: Array, std: Array, names: Sequence[str]
-) -> None:
-    """Draw a line for each column of values (N, M), with bands of two standard deviations."""
-    for value, band, colour, name in zip(values.T, 2.0 * std.T, THREE, names, strict=False):
-        panel.fill_between(x, value - band, value + band, color=colour, alpha=0.25, linewidth=0.0)
-        panel.plot(x, value, color=colour, linewidth=1.2, label=name)
-    panel.set_title(title)
-    panel.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=4)
 
 
 def comparison_figure(
@@ -199,29 +186,34 @@ def replay_figure(result: Any) -> Any:
 
 def plan_figure(report: Any) -> Any:
     """Draw package and grip along a plan, with bands of two standard deviations."""
-    curves, prediction = report.curves, report.prediction
+    curves, least = report.curves, report.least
     t, values, std = curves.seconds, curves.values, curves.std
-    offset = values[:, :3] - curves.tool
-    note = f'{report.source.path}; dotted: end of the plan' + (
-        '; bands: two standard deviations' if np.any(std > 0.0) else '')
+    seen = values[:, :3] - curves.tool
+    unknown = ': set cup.lip_radius, vacuum.holding' * (report.prediction.grip is None)
+    note = f'{report.source.path}; dotted: end of the plan; bands: two standard deviations'
     with picture('Package and grip along the plan', note) as figure:
         panels = figure.subplots(3, 2, sharex=True).ravel()
         panels[0].plot(t, curves.tool, color=QUIET)
-        series(panels[0], 'position (m), grey: the tool', t, values[:, :3], std[:, :3], 'xyz')
-        series(panels[1], 'safety factor', t, values[:, 4:6], std[:, 4:6], ('peel', 'slip'))
-        if prediction.grip is None:
-            panels[1].set_title('safety factor: set cup.lip_radius, vacuum.holding')
-        panels[1].axhline(report.least, color=TEXT, linewidth=0.8, linestyle='--')
+        panels[1].axhline(least, color=TEXT, linewidth=0.8, linestyle='--')
         panels[1].axhspan(0.0, 1.0, color=PREDICTED, alpha=0.12, linewidth=0.0)
-        panels[1].set_ylim(0.0, MAX_FACTOR * report.least)
-        series(panels[2], 'package seen from the tool tip (mm)', t, 1e3 * (offset - offset[0]),
-               1e3 * std[:, :3], 'xyz')
-        series(panels[3], 'force at the lip (N)', t, values[:, 6:9], std[:, 6:9], 'xyz')
-        series(panels[4], 'bending of the cup (deg)', t, np.degrees(values[:, 3:4]),
-               np.degrees(std[:, 3:4]), ['angle'])
-        series(panels[5], 'moment at the lip (N m)', t, values[:, 9:], std[:, 9:], 'xyz')
-        for panel in panels:
+        shown_curves = (
+            ('position (m), grey: the tool', values[:, :3], std[:, :3], 'xyz'),
+            (f'safety factor{unknown}', values[:, 4:6], std[:, 4:6], ('peel', 'slip')),
+            ('package seen from the tool tip (mm)', 1e3 * (seen - seen[0]), 1e3 * std[:, :3],
+             'xyz'),
+            ('force at the lip (N)', values[:, 6:9], std[:, 6:9], 'xyz'),
+            ('bending of the cup (deg)', np.degrees(values[:, 3:4]), np.degrees(std[:, 3:4]),
+             ['angle']),
+            ('moment at the lip (N m)', values[:, 9:], std[:, 9:], 'xyz'))
+        for panel, (title, rows, errors, names) in zip(panels, shown_curves, strict=True):
+            for value, band, colour, name in zip(
+                    rows.T, 2.0 * errors.T, THREE, names, strict=False):
+                panel.fill_between(t, value - band, value + band, color=colour, alpha=0.25)
+                panel.plot(t, value, color=colour, linewidth=1.2, label=name)
+            panel.set_title(title)
+            panel.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=4)
             panel.axvline(report.source.duration, color=QUIET, linewidth=0.8, linestyle=':')
+        panels[1].set_ylim(0.0, MAX_FACTOR * least)
         for panel in panels[-2:]:
             panel.set_xlabel('time (s)')
     return figure
@@ -283,7 +275,7 @@ def toss_figure(result: Any) -> Any:
 
 
 def replay_scenes(result: Any) -> Iterator[Scene]:
-    """Yield the free simulation of a replay, with the measured package as an outline."""
+    """Yield the free simulation of a replay, with the measured package."""
     validation = result.validation
     tool, package = (resample(body, validation.stamps_ns)
                      for body in (validation.tool, validation.package))
@@ -291,13 +283,7 @@ def replay_scenes(result: Any) -> Iterator[Scene]:
     outline = Trajectory(
         tool.stamps_ns, tool.position + apply(tool.rotation, np.nan_to_num(position)),
         tool.rotation @ exp_so3(np.nan_to_num(rotation)))
-    yield Scene(f'{result.bag}; outline: measured', tool, package, outline, result.values)
-
-
-def plan_scenes(report: Any) -> Iterator[Scene]:
-    """Yield the predicted motion along a plan."""
-    tool, package = report.bodies
-    yield Scene(report.source.path, tool, package, None, report.source.values)
+    yield Scene(f'{result.bag}; violet: measured', tool, package, outline, result.values)
 
 
 def steer_scenes(report: Any) -> Iterator[Scene]:
@@ -311,8 +297,8 @@ def steer_scenes(report: Any) -> Iterator[Scene]:
             yield Scene(name, tool, package, None, report.source.values)
 
 
-def toss_scenes(result: Any) -> Iterator[Scene]:
-    """Yield the toss until its landing."""
+def plan_scenes(result: Any) -> Iterator[Scene]:
+    """Yield the predicted motion along a plan, or a toss until its landing."""
     tool, package = result.bodies
     yield Scene(result.source.path, tool, package, None, result.source.values)
 
@@ -328,8 +314,8 @@ def animation(scenes: Sequence[Scene]) -> bytes:
 
         canvas = FigureCanvasAgg(figure)
         panels = [_space(panel, scene) for panel, scene in zip(figure.subplots(
-            1, len(scenes), squeeze=False,
-            subplot_kw={'projection': '3d', 'computed_zorder': False})[0], scenes, strict=True)]
+            1, len(scenes), squeeze=False, subplot_kw={'projection': '3d'})[0], scenes,
+            strict=True)]
         for t in times:
             drawn = [artist for panel, scene in zip(panels, scenes, strict=True)
                      for artist in _bodies(panel, scene, t)]
@@ -349,7 +335,7 @@ def animation(scenes: Sequence[Scene]) -> bytes:
 def _space(panel: Any, scene: Scene) -> Any:
     """Return a panel that shows a whole scene in equal scales."""
     bodies = np.vstack([scene.tool.position, scene.package.position])
-    margin = 0.6 * max(equivalent_box(scene.values))
+    margin = max(MIN_MARGIN, 0.6 * max(scene.values.package.size))
     low, high = bodies.min(axis=0) - margin, bodies.max(axis=0) + margin
     panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]),
               title=scene.label)
@@ -362,41 +348,24 @@ def _space(panel: Any, scene: Scene) -> Any:
 
 def _bodies(panel: Any, scene: Scene, t: float) -> list[Any]:
     """Draw the bodies at a time (s), and return their artists."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     i = min(int(np.searchsorted(scene.tool.seconds, t)), len(scene.tool) - 1)
-    box = CORNERS * equivalent_box(scene.values)
-    (tool_o, tool_R), (body_o, body_R) = (
-        (body.position[i], body.rotation[i]) for body in (scene.tool, scene.package))
-    lip_o = body_o - body_R @ np.array(scene.values.package.com)
-    reach = scene.values.cup.length * 3.0  # m, to a lip that holds the package
-    artists: list[Any] = [Poly3DCollection(
-        list((body_o + box @ body_R.T)[FACES]), facecolor=PREDICTED, edgecolor=TEXT, alpha=0.5,
-        linewidth=0.8)]
-    if np.linalg.norm(lip_o - tool_o) < reach:
-        artists.append(Line3DCollection(
-            list(cup_rings(tool_o, tool_R, lip_o, body_R)), colors=MEASURED, linewidths=1.6))
-    arm = np.array([tool_o, tool_o + 0.1 * tool_R[:, 2]])  # m
-    artists.append(Line3DCollection([arm], colors=QUIET, linewidths=7.0))
-    if scene.outline is not None:
-        corners = scene.outline.position[i] + box @ scene.outline.rotation[i].T
-        artists.append(Line3DCollection(list(corners[EDGES]), colors=ERROR, linewidths=1.2))
-    for order, artist in enumerate(artists, 2):
-        artist.set_zorder(order)
-        panel.add_collection3d(artist)
-    return artists
-
-
-def cup_rings(tool_o: Array, tool_R: Array, lip_o: Array, lip_R: Array) -> Array:
-    """Return the circles (RINGS, 25, 3) of a cup from the tool tip to the lip, m."""
-    angle, s = np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, 1.0, RINGS)[:, None, None]
-    circle = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
-    radius = CUP_RADIUS * (0.75 + 0.2 * np.cos(2.0 * np.pi * CONVOLUTIONS * (s - 1.0)))
-    ends = (1.0 - s) * (circle @ tool_R.T), s * (circle @ lip_R.T)
-    return np.asarray((1.0 - s) * tool_o + s * lip_o + radius * (ends[0] + ends[1]))
+    com, size = np.array(scene.values.package.com), np.array(scene.values.package.size)
+    tip, arm = scene.tool.position[i], 0.1 * scene.tool.rotation[i, :, 2]  # m
+    lip = scene.package.position[i] - scene.package.rotation[i] @ com
+    lines = [([[tip, tip + arm]], QUIET, 7.0)]
+    if np.linalg.norm(lip - tip) < REACH * scene.values.cup.length:
+        lines.append(([[tip, lip]], MEASURED, 5.0))
+    for body, colour in ((scene.package, PREDICTED), (scene.outline, ERROR)):
+        if body is not None:  # without a given size the line from the lip to the centre of mass
+            box = CORNERS[EDGES] * size if size.all() else np.array([[-com, 0.0 * com]])
+            lines.append((body.position[i] + box @ body.rotation[i].T, colour, 1.6))
+    return [panel.add_collection3d(Line3DCollection(list(each), colors=colour, linewidths=width))
+            for each, colour, width in lines]
 
 
 DRAWINGS: Mapping[str, tuple[Callable[[Any], Any], Callable[[Any], Iterator[Scene]]]] = {
     'Replay': (replay_figure, replay_scenes), 'PlanReport': (plan_figure, plan_scenes),
-    'SteerReport': (steer_figure, steer_scenes), 'TossResult': (toss_figure, toss_scenes)}
+    'SteerReport': (steer_figure, steer_scenes), 'TossResult': (toss_figure, plan_scenes)}
 """Functions that draw a result of a type: its figure, and the scenes of its animation."""
