@@ -109,13 +109,6 @@ def _is_righted(before: Bodies, after: Bodies) -> bool:
     return is_on_cup(before) and moves < moved and tilt < UPRIGHT and TILTED < tilted
 
 
-def similarity(first: Array, second: Array) -> float:
-    """Return the correlation of vectors (N, 3) up to a rotation between them, 1 if equal."""
-    U, sizes, V = np.linalg.svd(first.T @ second)
-    sizes[2] *= np.sign(np.linalg.det(U @ V))
-    return float(sizes.sum() / max(np.linalg.norm(first) * np.linalg.norm(second), 1e-12))
-
-
 def is_on_cup(bodies: Bodies) -> bool:
     """Return whether the distance of the bodies is plausible for a cup."""
     distance, change = distance_of(bodies)

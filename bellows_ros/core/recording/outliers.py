@@ -56,12 +56,6 @@ SIDE_SAMPLES = 6
 SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
 """Samples before and after a jump."""
 
-ROUNDING_FACTOR = 4.0
-"""Ratio of a step of a moving body to the smallest nonzero step, which is due to rounding."""
-
-MIN_STEP = 1e-9
-"""Smallest step of a moving body, m or rad."""
-
 
 class LastingStep(NamedTuple):
     """A jump without a return: index of the sample before it, and its size, m and rad."""

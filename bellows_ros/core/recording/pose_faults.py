@@ -6,12 +6,12 @@ of one of the two poses breaks this relation in a specific manner. `faults` has 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
@@ -24,10 +24,9 @@ from bellows_ros.core.signals.trajectory import (
     Trajectory,
     TwistStream,
 )
-from bellows_ros.errors import BellowsError
 import numpy as np
 
-from . import alignment, conventions
+from . import conventions
 from .conventions import Bodies
 
 SAMPLES = 300
@@ -105,12 +104,6 @@ MIN_SAMPLES = 20
 MAX_SAMPLES = 10_000
 """Largest number of differences for an estimate of noise, which is then accurate to 1 %."""
 
-MIN_SIMILARITY = 0.95
-"""Smallest similarity of rotations in two worlds with a corrected convention."""
-
-MAX_DIFFERENCE_RATIO = 0.25
-"""Largest ratio of the dissimilarities of two rotations after and before a correction."""
-
 IN_DEGREES = ', but would with angles in degrees per second'
 """Cause of twists that do not fit the poses."""
 
@@ -184,11 +177,6 @@ class RecordedPoses:
         """Whether both bodies are in one frame, as far as they name it."""
         return same_frame(self.tool.frame_id, self.package.frame_id)
 
-    @property
-    def named(self) -> tuple[tuple[str, PoseStream, PoseStream], ...]:
-        """Each body with its poses and the other's."""
-        return (('tool', self.tool, self.package), ('package', self.package, self.tool))
-
 
 def clock_steps(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield the steps of the clock that stamps a topic, or both topics, as by NTP."""
@@ -213,7 +201,8 @@ def _nearest(step: tuple[float, float], steps: Sequence[tuple[float, float]]) ->
 
 def frozen_orientations(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a rotation that stays while the body, and the other one, move."""
-    for body, stream, other in poses.named:
+    for body, stream, other in (
+            ('tool', poses.tool, poses.package), ('package', poses.package, poses.tool)):
         if (part := _frozen_part(stream)) > MIN_FROZEN_PART and (
                 body == 'package' or _deviation(other.trajectory())[3:].max() > MOVING[3]):
             yield Finding('frozen_orientation', Level.ERROR, {'part': part}, body)
@@ -274,8 +263,8 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Finding]:
         yield Finding('no_swing', Level.ERROR, {
             'fixed': 'rests while the tool moves', **_sizes(package_motion)}, 'package')
         return
-    relative = _relative_motion(poses, bodies)
-    if relative is None or len(relative) < SAMPLES // 2:
+    relative = _seen_from(poses.tool.trajectory(), package)
+    if not poses.one_frame or len(relative) < SAMPLES // 2:
         return
     noise, deviation = noise_of(relative), _deviation(relative)
     tilt = float(np.linalg.norm(np.std(bodies[0].rotation[:, 2, :2], axis=0)))
@@ -294,19 +283,6 @@ def _sizes(deviation: Array) -> dict[str, float]:
     return {'position': float(deviation[:3].max()), 'rotation': float(deviation[3:].max())}
 
 
-def _relative_motion(poses: RecordedPoses, bodies: Bodies) -> Trajectory | None:
-    """Return the package in the axes of the tool; None in two worlds of a tool without turns."""
-    hand, eye = poses.tool.trajectory(), poses.package.trajectory()
-    if not poses.one_frame:
-        try:
-            R = alignment.rotation_of(*(body.rotation for body in bodies))
-        except BellowsError:  # the tool hardly rotates
-            return None
-        eye = replace(eye, position=lie.apply(R, eye.position) + _rigid_offset(*bodies, R),
-                      rotation=R @ eye.rotation)
-    return _seen_from(hand, eye)
-
-
 def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
     """Return the package in the axes of the tool, in groups of five successive poses."""
     first, last = common_span(tool, package)
@@ -319,9 +295,9 @@ def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
                       back @ package.rotation)
 
 
-def noise_of(body: Trajectory, chosen: Mask | None = None) -> Array:
+def noise_of(body: Trajectory) -> Array:
     """
-    Return the standard deviation (6,) of the noise of selected poses, m and rad, nan for too few.
+    Return the standard deviation (6,) of the noise of poses, m and rad, nan for too few.
 
     Differences of fourth order of five poses at uniform steps suppress the motion.
     """
@@ -329,8 +305,7 @@ def noise_of(body: Trajectory, chosen: Mask | None = None) -> Array:
     if len(body) <= n:
         return np.full(6, np.nan)
     uniform = np.abs(steps / np.median(steps) - 1.0) < MAX_STEP_ERROR
-    groups = np.lib.stride_tricks.sliding_window_view(uniform, n).all(axis=1)
-    at = np.flatnonzero(groups if chosen is None else groups & chosen[n // 2:len(body) - n // 2])
+    at = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(uniform, n).all(axis=1))
     if len(at) < MIN_SAMPLES:
         return np.full(6, np.nan)
     at = at[::len(at) // MAX_SAMPLES + 1]
@@ -348,31 +323,9 @@ def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
     units = conventions.units_of(poses.bodies, poses.one_frame)
     yield from (Finding('millimetres', Level.ERROR, topic=body) for body, is_wrong in zip(
         ('tool', 'package'), units, strict=True) if is_wrong)
-    if poses.one_frame:
-        bodies = conventions.changed(poses.bodies, units, conventions.in_metres)
-        if body := conventions.wrong_order(bodies):
-            yield Finding('quaternions', Level.ERROR, {'fault': 'w is first'}, body)
-        return
-    plain, inverse = _similarities(poses.bodies)
-    if inverse > MIN_SIMILARITY and 1.0 - inverse < MAX_DIFFERENCE_RATIO * (1.0 - plain):
-        yield Finding(
-            'quaternions', Level.ERROR, {'fault': 'inverse, or w is first'}, 'both')
-
-
-def _similarities(bodies: Bodies) -> tuple[float, float]:
-    """Return the similarity of two rotations in two worlds, as recorded and with one inverted."""
-    a, b = (lie.log_so3(body.rotation[len(body) // 2].T @ body.rotation) for body in bodies)
-    R = bodies[1].rotation
-    inverse = lie.log_so3(R[len(R) // 2] @ np.swapaxes(R, 1, 2))
-    return conventions.similarity(a, b), conventions.similarity(a, inverse)
-
-
-def _rigid_offset(tool: Trajectory, package: Trajectory, X: Array) -> Array:
-    """Return t (3,), m, of the c and t with o + R c nearest to X p + t."""
-    A = np.concatenate(
-        [tool.rotation, -np.tile(np.eye(3), (len(tool), 1, 1))], axis=2).reshape(-1, 6)
-    b = (lie.apply(X, package.position) - tool.position).ravel()
-    return np.asarray(np.linalg.lstsq(A, b, rcond=1e-6)[0][3:])
+    bodies = conventions.changed(poses.bodies, units, conventions.in_metres)
+    if poses.one_frame and (body := conventions.wrong_order(bodies)):
+        yield Finding('quaternions', Level.ERROR, topic=body)
 
 
 def exchanged_topics(poses: RecordedPoses) -> Iterator[Finding]:

@@ -117,7 +117,7 @@ def seems_tag(noise: Array, rate_hz: float, excursions: float) -> bool:
         or float(noise[2]) > TAG_DEPTH * lateral)
 
 
-def wrong_sensors(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
+def wrong_sensors(recording: Recording) -> Iterator[Finding]:
     """Yield poses of a detected tag given as poses of a tracked body, or vice versa."""
     report, body = recording.report.package, recording.tracked_package
     yield from sensor_remarks(
@@ -141,7 +141,7 @@ def sensor_remarks(
         yield Finding('sensor', Level.WARN, {'kind': 'tracked body', **sizes}, 'package')
 
 
-def misplaced(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
+def misplaced(recording: Recording) -> Iterator[Finding]:
     """Yield the reason why a package is mostly not below the tool."""
     tool, package, in_world = _arrangement(recording)
     if not len(tool):
@@ -220,7 +220,7 @@ def wrong_length(recording: Recording, length: float) -> Iterator[Finding]:
         yield Finding('length', Level.ERROR, {'offset': abs(offset)})
 
 
-def clocks_apart(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
+def clocks_apart(recording: Recording) -> Iterator[Finding]:
     """
     Yield the offset of the clocks, or its step, if the rotations of both bodies agree at lags.
 
@@ -266,7 +266,7 @@ def _correlation_gap(small: float, large: float) -> float:
     return float(np.subtract(*np.arctanh(np.minimum([large, small], 1.0 - 1e-12))))
 
 
-def low_pass(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
+def low_pass(recording: Recording) -> Iterator[Finding]:
     """Yield low-pass filtered poses: their noise decays too steeply."""
     for body, poses in (('tool', recording.aligned_tool), ('package', recording.aligned_package)):
         if noise_order(poses) > MAX_NOISE_ORDER:
@@ -297,7 +297,7 @@ def noise_order(poses: Trajectory) -> float:
     return -float(np.polyfit(np.log(hz[inside]), np.log(densities.mean(axis=0)), 1)[0])
 
 
-def jumps(recording: Recording, length: float = THESIS_LENGTH) -> Iterator[Finding]:
+def jumps(recording: Recording) -> Iterator[Finding]:
     """Yield the largest of a few jumps without return, of package or marker."""
     stream = recording.report.package
     steps = lasting_steps(stream)

@@ -229,10 +229,6 @@ def ar1_noise_of(
     return fitted(noise.position, wide.position), fitted(noise.rotation, wide.rotation)
 
 
-UNSEEN_STD = np.full(6, 10.0)
-"""Standard deviation of unknown poses, m and rad, which determine nothing."""
-
-
 class BodyNoise(NamedTuple):
     """
     Noise of a body's poses: standard deviations (6,), and correlations (6,) from pose to pose.
@@ -618,11 +614,6 @@ class Recording:
         return self.settings.payload
 
     @property
-    def is_seen(self) -> bool:
-        """Whether the poses of the package are measured, by a topic."""
-        return True
-
-    @property
     def valid(self) -> Mask:
         """Samples (N,) with usable filtered poses of both bodies."""
         return self.tool.valid & self.package.valid
@@ -682,7 +673,7 @@ class Recording:
         Noise of tool and package per axis, each at the stamps of the body.
 
         Polynomials do not follow a package between slow poses; the noise is then estimated at
-        rest. Unknown poses have `UNSEEN_STD`.
+        rest.
         """
         of_tool, of_package = (
             BodyNoise(pose_noise(poses, ar1), ar1) for poses, ar1 in zip(

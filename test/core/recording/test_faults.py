@@ -133,10 +133,9 @@ FAULTS = {
     'z of the tool': (lambda t, p: (changed(t, rotation=t.rotation @ OUT), p), 'tool_z', 'tool')}
 
 TWO_FRAMES = {
-    **{name: FAULTS[name][1:] for name in (
+    name: FAULTS[name][1:] for name in (
         'clock', 'clock of both', 'at rest', 'frozen package', 'frozen tool', 'on the table',
-        'millimetres', 'z of the tool')},
-    'w first': ('quaternions', 'both')}
+        'millimetres', 'z of the tool')}
 """Code and body of the faults that are seen although the package is in two worlds."""
 
 
