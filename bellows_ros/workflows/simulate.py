@@ -23,7 +23,7 @@ from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.core.synthetic import recipe as sensing
-from bellows_ros.core.synthetic.motion import Planned, sample_stamps
+from bellows_ros.core.synthetic.motion import planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_writer, File, messages
@@ -123,7 +123,7 @@ def simulate_recording(
     recipe = read_recipe(motion, package_of(values).com)
     if plan:
         tool = in_world(read_plan(plan, values).tool, R_world_level.T)
-        recipe = recipe._replace(motion=Planned(tool))
+        recipe = recipe._replace(motion=planned(tool))
     bag = Path(out)
     atomic.require_folder_target(bag)
     truth_file = atomic.require_file_target(

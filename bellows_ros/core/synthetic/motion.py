@@ -6,8 +6,8 @@ beginning. Displacements are in world axes; rotations are ``R_world_tool = R_sta
 the rotation vector phi in the tool's axes at the start.
 """
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
@@ -37,63 +37,37 @@ class Pose(NamedTuple):
     rotation: Array
 
 
-class Motion(ABC):
+State = tuple[Array, Array, Array, Array]
+"""Positions (N, 3) and velocities (N, 3) in world axes (m, m/s), R_world_tool (N, 3, 3), and body
+rates (N, 3) in tool axes (rad/s)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
     """
     A motion of the tool.
 
-    Attributes
+    Parameters
     ----------
     start : Pose
         Pose of the tool at rest at the beginning.
-    rest_duration : float
-        Duration of the initial rest, s.
-    duration : float
-        Duration with the rest, s.
+    rest_duration, duration : float
+        Durations of the initial rest, and of the motion with the rest, s.
+    highest_frequency : float
+        Highest frequency, Hz; estimated for motions without a line spectrum.
+    state : callable
+        Function from times (N,), s, to the `State`; before the beginning the tool is at rest.
 
     """
 
     start: Pose
     rest_duration: float
     duration: float
-
-    @abstractmethod
-    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """
-        Return pose and twist of the tool.
-
-        Parameters
-        ----------
-        t : array (N,)
-            Times, s; before the beginning the tool is at rest.
-
-        Returns
-        -------
-        position, velocity : arrays (N, 3)
-            In world axes, m and m/s.
-        rotation : array (N, 3, 3)
-            R_world_tool.
-        body_rate : array (N, 3)
-            Angular velocity in tool axes, rad/s.
-
-        """
-
-    @property
-    @abstractmethod
-    def highest_frequency(self) -> float:
-        """Highest frequency in the motion, Hz; estimated for motions without a line spectrum."""
+    highest_frequency: float
+    state: Callable[[Array], State]
 
     def trajectory(self, stamps_ns: Stamps, start_ns: int) -> Trajectory:
-        """
-        Return the tool's poses and body twists at given stamps.
-
-        Parameters
-        ----------
-        stamps_ns : int array (N,)
-            Strictly increasing, ns.
-        start_ns : int
-            Stamp of the motion's beginning, ns.
-
-        """
+        """Return poses and body twists at stamps (N,), ns; the motion begins at `start_ns`."""
         o, o_rate, R, w = self.state((stamps_ns - start_ns) / NS_PER_S)
         twist = np.hstack([lie.apply(np.swapaxes(R, -1, -2), o_rate), w])
         return Trajectory(stamps_ns, o, R, twist)
@@ -121,91 +95,71 @@ def smooth_step(s: Array) -> Array:
     return np.array([s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s - s**2) ** 2])
 
 
-class Vibration(Motion):
-    """A motion about the start, given by its displacement."""
-
-    @abstractmethod
-    def displacement(self, t: Array) -> Array:
-        """
-        Return the displacement since the start and its rate (2, N, 6).
-
-        The displacement is in world axes (m, m/s), followed by the rotation vector in axes of the
-        start (rad, rad/s).
-        """
-
-    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return pose and twist of the tool; the body rate is dexp(-phi) dphi/dt."""
-        value, rate = self.displacement(t)
-        phi = value[:, 3:]
-        return (
-            self.start.position + value[:, :3],
-            rate[:, :3],
-            self.start.rotation @ lie.exp_so3(phi),
-            lie.apply(lie.dexp(-phi), rate[:, 3:]))
-
-
-@dataclass(frozen=True, eq=False)
-class Oscillation(Vibration):
+class Sine(NamedTuple):
     """
-    Oscillations with smoothly increasing amplitude after the rest.
+    A component of an oscillation.
+
+    The axis is 0 to 2 in world axes, 3 to 5 in the rotation vector; the frequency changes linearly
+    from the end of the rest to the end of the motion.
+    """
+
+    axis: int
+    amplitude: float
+    """Amplitude, m or rad."""
+    first: float
+    last: float
+    """First and last frequency, Hz."""
+
+
+def oscillation(
+    start: Pose, rest: float, ramp: float, duration: float, sines: Sequence[Sine], phase: Array,
+    hold: tuple[Array, float] = (np.zeros(3), 0.0),
+) -> Motion:
+    """
+    Return oscillations with smoothly increasing amplitude after the rest.
 
     Parameters
     ----------
     start : Pose
-    rest_duration, ramp_duration, duration : float
+        Pose at rest.
+    rest, ramp, duration : float
         Rest, ramp of the amplitude, and total duration, s.
-    amplitude : array (M,)
-        Amplitude of each component, m or rad.
-    axis : int array (M,)
-        Displacement of each component: 0..2 in world axes, 3..5 in the rotation vector.
-    frequency : array (M, 2)
-        Frequencies at the end of the rest and at the end of the motion, Hz, changing linearly in
-        between.
+    sines : sequence of Sine
+        M components.
     phase : array (M,)
-        Phase at the end of the rest, rad.
-    hold : array (3,)
-        Rotation vector of the hold at the end, in axes of the start, rad.
-    hold_duration : float
-        Duration of the hold, s; 0 for none.
+        Phase of each component at the end of the rest, rad.
+    hold : (array (3,), float)
+        Rotation vector of a hold at the end, in axes of the start (rad), and its duration (s).
 
     """
-
-    start: Pose
-    rest_duration: float
-    ramp_duration: float
-    duration: float
-    amplitude: Array
-    axis: Stamps
-    frequency: Array
-    phase: Array
-    hold: Array = field(default_factory=lambda: np.zeros(3))
-    hold_duration: float = 0.0
-
-    def displacement(self, t: Array) -> Array:
+    def displacement(t: Array) -> Array:
         """Return displacement and rotation vector since the start, and their rates (2, N, 6)."""
-        tau = t - self.rest_duration
-        ramp, slope = smooth_step(tau / self.ramp_duration)
-        slope = slope / self.ramp_duration
-        moved = np.zeros((2, len(t), 6))
-        if self.hold_duration > 0.0:
-            begin = self.duration - self.hold_duration - HOLD_MOVE
-            held, rate = smooth_step((t - begin) / HOLD_MOVE) / [[1.0], [HOLD_MOVE]]
-            ramp, slope = ramp * (1.0 - held), slope * (1.0 - held) - ramp * rate
-            moved[:, :, 3:] = np.multiply.outer([held, rate], self.hold)
-        for i, axis in enumerate(self.axis):
-            first, last = 2.0 * np.pi * self.frequency[i]
-            sweep = (last - first) / (self.duration - self.rest_duration)
-            angle = self.phase[i] + first * tau + 0.5 * sweep * tau**2
-            wave = self.amplitude[i] * np.sin(angle)
-            wave_rate = self.amplitude[i] * (first + sweep * tau) * np.cos(angle)
-            moved[0, :, axis] += ramp * wave
-            moved[1, :, axis] += ramp * wave_rate + slope * wave
+        tau, moved = t - rest, np.zeros((2, len(t), 6))
+        size, slope = smooth_step(tau / ramp) / [[1.0], [ramp]]
+        if hold[1] > 0.0:
+            held, rate = smooth_step(
+                (t - duration + hold[1] + HOLD_MOVE) / HOLD_MOVE) / [[1.0], [HOLD_MOVE]]
+            size, slope = size * (1.0 - held), slope * (1.0 - held) - size * rate
+            moved[:, :, 3:] = np.multiply.outer([held, rate], hold[0])
+        for sine, at_rest in zip(sines, phase, strict=True):
+            first, last = 2.0 * np.pi * sine.first, 2.0 * np.pi * sine.last
+            sweep = (last - first) / (duration - rest)
+            angle = at_rest + first * tau + 0.5 * sweep * tau**2
+            wave = sine.amplitude * np.sin(angle)
+            moved[0, :, sine.axis] += size * wave
+            moved[1, :, sine.axis] += slope * wave + size * sine.amplitude * (
+                first + sweep * tau) * np.cos(angle)
         return moved
 
-    @property
-    def highest_frequency(self) -> float:
-        """Highest frequency of a component, Hz."""
-        return float(np.max(self.frequency, initial=0.0))
+    def state(t: Array) -> State:
+        """Return the motion; the body rate is dexp(-phi) dphi/dt."""
+        value, rate = displacement(t)
+        phi = value[:, 3:]
+        return (start.position + value[:, :3], rate[:, :3], start.rotation @ lie.exp_so3(phi),
+                lie.apply(lie.dexp(-phi), rate[:, 3:]))
+
+    highest = max((max(sine.first, sine.last) for sine in sines), default=0.0)
+    return Motion(start, rest, duration, highest, state)
 
 
 class MoveAndHold(NamedTuple):
@@ -216,86 +170,45 @@ class MoveAndHold(NamedTuple):
     hold: float
 
 
-@dataclass(frozen=True, eq=False)
-class Waypoints(Motion):
+def waypoints(start: Pose, rest: float, segments: Sequence[MoveAndHold]) -> Motion:
     """
-    Moves from pose to pose, each with a stop at its end.
+    Return moves from pose to pose after a rest (s), each with a stop at its end.
 
     Positions move straight and orientations about a fixed axis, both along the smooth step.
-
-    Parameters
-    ----------
-    start : Pose
-    rest_duration : float
-        Duration of the rest, s.
-    segments : tuple of MoveAndHold
-        Moves, at least one.
-
     """
-
-    start: Pose
-    rest_duration: float
-    segments: tuple[MoveAndHold, ...]
-
-    @property
-    def duration(self) -> float:  # type: ignore[override]
-        """Duration with the rest, s."""
-        return self.rest_duration + sum(each.move + each.hold for each in self.segments)
-
-    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return pose and twist of the tool; at rest before the first segment."""
+    def state(t: Array) -> State:
         still = np.zeros((len(t), 3))
-        position, rotation = still + self.start.position, still[..., None] + self.start.rotation
-        velocity, body_rate = still.copy(), still.copy()
-        begin, start = self.rest_duration, self.start
-        for segment in self.segments:
+        position, rotation = still + start.position, still[..., None] + start.rotation
+        velocity, body_rate, begin, before = still.copy(), still.copy(), rest, start
+        for goal, move, hold in segments:
             now = t >= begin  # a later segment overwrites its interval
-            step, slope = smooth_step((t[now] - begin) / segment.move)[:, :, None]
-            slope = slope / segment.move
-            shift = segment.goal.position - start.position
-            phi = lie.log_so3(start.rotation.T @ segment.goal.rotation)
-            position[now], velocity[now] = start.position + step * shift, slope * shift
-            rotation[now], body_rate[now] = start.rotation @ lie.exp_so3(step * phi), slope * phi
-            begin, start = begin + segment.move + segment.hold, segment.goal
+            step, slope = smooth_step((t[now] - begin) / move)[:, :, None] / [[[1.0]], [[move]]]
+            shift = goal.position - before.position
+            phi = lie.log_so3(before.rotation.T @ goal.rotation)
+            position[now], velocity[now] = before.position + step * shift, slope * shift
+            rotation[now], body_rate[now] = before.rotation @ lie.exp_so3(step * phi), slope * phi
+            begin, before = begin + move + hold, goal
         return position, velocity, rotation, body_rate
 
-    @property
-    def highest_frequency(self) -> float:
-        """Inverse of the shortest move, Hz."""
-        return 1.0 / min(segment.move for segment in self.segments)
+    return Motion(start, rest, rest + sum(each.move + each.hold for each in segments),
+                  1.0 / min(each.move for each in segments), state)
 
 
-class Planned(Motion):
-    """
-    The motion of a plan.
-
-    Parameters
-    ----------
-    tool : Trajectory
-        Poses of E in the world with body twists.
-
-    """
-
-    def __init__(self, tool: Trajectory) -> None:
-        self.tool, self.start = tool, Pose(tool.position[0], tool.rotation[0])
-        moving = np.asarray(tool.twist).any(axis=1)
-        self.rest_duration = float(tool.seconds[max(int(np.argmax(moving)) - 1, 0)])
-        self.duration = float(tool.seconds[-1])
-
-    @property
-    def highest_frequency(self) -> float:
-        """A hundredth of the rate of its points, Hz."""
-        return 0.01 * (len(self.tool) - 1) / self.duration
-
-    def state(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the motion between the points, and the last pose after them."""
-        first, last = self.tool.stamps_ns[[0, -1]]
+def planned(tool: Trajectory) -> Motion:
+    """Return the motion of a plan with body twists; after its end the last pose."""
+    def state(t: Array) -> State:
+        first, last = tool.stamps_ns[[0, -1]]
         stamps = np.clip(first + np.round(t * NS_PER_S).astype(np.int64), first, last)
         at, places = np.unique(stamps, return_inverse=True)
-        sampled = resample(self.tool, at)
-        R, twist = sampled.rotation, np.asarray(sampled.twist)
-        return (sampled.position[places], lie.apply(R, twist[:, :3])[places], R[places],
-                twist[places, 3:])
+        sampled = resample(tool, at)
+        R, twist = sampled.rotation[places], np.asarray(sampled.twist)[places]
+        return sampled.position[places], lie.apply(R, twist[:, :3]), R, twist[:, 3:]
+
+    moving, duration = np.asarray(tool.twist).any(axis=1), float(tool.seconds[-1])
+    return Motion(
+        Pose(tool.position[0], tool.rotation[0]),
+        float(tool.seconds[max(int(np.argmax(moving)) - 1, 0)]), duration,
+        0.01 * (len(tool) - 1) / duration, state)  # a hundredth of the rate of its points
 
 
 def motion_from(settings: Settings, phases: Generator) -> Motion:
@@ -318,7 +231,6 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     kind = settings.choice('kind', MOTION_KINDS)
     start = pose_from(settings.block('start'))
     rest = settings.number('rest_duration', 2.0, 's', minimum=0.0, maximum=MAX_DURATION)
-    motion: Oscillation | Waypoints
     if kind in ('multi_sine', 'chirp'):
         motion = _oscillation(settings, kind, start, rest, phases)
     else:  # waypoints have individual times, static poses common ones
@@ -326,7 +238,7 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
         common = _times(block) if kind == 'static' else None
         segments = tuple(MoveAndHold(pose_from(each), *(common or _times(each)))
                          for each in block.blocks('poses'))
-        motion = Waypoints(
+        motion = waypoints(
             start, rest, (1 + block.integer('repeat', 0, maximum=1000)) * segments)
     if motion.duration > MAX_DURATION:
         raise BellowsError(
@@ -354,33 +266,29 @@ def pose_from(settings: Settings) -> Pose:
 
 def _oscillation(
     settings: Settings, kind: str, start: Pose, rest: float, phases: Generator
-) -> Oscillation:
+) -> Motion:
     """Return a multi-sine or a chirp."""
     duration = settings.number('duration', unit='s', above=rest, maximum=MAX_DURATION)
     ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, maximum=MAX_DURATION)
     block = settings.block(kind)
-    lines = _sines(block) if kind == 'multi_sine' else _sweeps(block)
+    sines = _sines(block) if kind == 'multi_sine' else _sweeps(block)
     block.done()
-    if not lines:
+    if not sines:
         raise BellowsError(
             f"Setting '{kind}' moves nothing. Give it an amplitude on one axis at least, of "
             'position or of rotation.')
-    axis, amplitude, *frequency = np.transpose(lines)
-    phase = phases.uniform(0.0, 2.0 * np.pi, len(axis))
-    hold, held = np.zeros(3), 0.0
+    phase, hold = phases.uniform(0.0, 2.0 * np.pi, len(sines)), (np.zeros(3), 0.0)
     if 'hold' in settings:
         block = settings.block('hold')
-        hold = block.vector('rotation', 3, unit='rad')
-        longest = duration - rest - ramp - HOLD_MOVE
-        held = block.number('duration', unit='s', above=0.0, maximum=longest)
+        hold = (block.vector('rotation', 3, unit='rad'), block.number(
+            'duration', unit='s', above=0.0, maximum=duration - rest - ramp - HOLD_MOVE))
         block.done()
-    return Oscillation(start, rest, ramp, duration, amplitude, axis.astype(np.int64),
-                       np.transpose(frequency), phase, hold, held)
+    return oscillation(start, rest, ramp, duration, sines, phase, hold)
 
 
-def _sines(settings: Settings) -> list[tuple[float, ...]]:
-    """Return axis, amplitude, first and last frequency of the components of a multi-sine."""
-    parts = list[tuple[float, ...]]()
+def _sines(settings: Settings) -> list[Sine]:
+    """Return the components of a multi-sine."""
+    parts = list[Sine]()
     for offset, name, unit in ((0, 'position', 'm'), (3, 'rotation', 'rad')):
         block = settings.block(name)
         for index, axis in enumerate(('x', 'y', 'z')):
@@ -392,19 +300,20 @@ def _sines(settings: Settings) -> list[tuple[float, ...]]:
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
                     f'long, got {len(amplitude)} and {len(frequency)} numbers.')
-            parts += [(offset + index, a, f, f) for a, f in zip(amplitude, frequency, strict=True)]
+            parts += [Sine(offset + index, a, f, f)
+                      for a, f in zip(amplitude, frequency, strict=True)]
     return parts
 
 
-def _sweeps(settings: Settings) -> list[tuple[float, ...]]:
-    """Return axis, amplitude, first and last frequency of the components of a chirp."""
+def _sweeps(settings: Settings) -> list[Sine]:
+    """Return the components of a chirp."""
     amplitude = np.concatenate([
         settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
         settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])
     ends = [
         settings.number(name, unit='Hz', minimum=0.0, maximum=MAX_FREQUENCY)
         for name in ('from', 'to')]
-    return [(axis, size, *ends) for axis, size in enumerate(amplitude) if size]
+    return [Sine(axis, size, *ends) for axis, size in enumerate(amplitude) if size]
 
 
 def _times(settings: Settings) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals.trajectory import PoseStream
-from bellows_ros.core.synthetic.motion import MoveAndHold, Oscillation, Pose, Waypoints
+from bellows_ros.core.synthetic.motion import MoveAndHold, oscillation, Pose, Sine, waypoints
 import numpy as np
 from scipy.signal import lfilter
 
@@ -27,14 +27,11 @@ LINES = (
 
 
 @functools.cache
-def shake(axes=(0, 1, 2, 3, 4, 5), duration=10.0, seed=1):
+def shake(axes=(0, 1, 2, 3, 4, 5), duration=10.0, seed=1, rest=0.5, lines=LINES):
     """Return a tool motion that drives some axes."""
-    parts = [(axis, *line) for axis in axes for line in LINES[axis]]
-    axis, amplitude, frequency = (np.array(column) for column in zip(*parts, strict=True))
-    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(axis))
-    return Oscillation(
-        Pose(np.zeros(3), np.eye(3)), 0.5, 1.0, duration, amplitude, axis,
-        np.stack([frequency, frequency], 1), phase)
+    sines = [Sine(axis, size, f, f) for axis in axes for size, f in lines[axis]]
+    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(sines))
+    return oscillation(Pose(np.zeros(3), np.eye(3)), rest, 1.0, duration, sines, phase)
 
 
 def standstills(rotation_vectors, hold=2.0):
@@ -42,7 +39,7 @@ def standstills(rotation_vectors, hold=2.0):
     segments = tuple(
         MoveAndHold(Pose(np.zeros(3), exp_so3(np.array(phi, float))), 0.8, hold)
         for phi in rotation_vectors)
-    return Waypoints(Pose(np.zeros(3), np.eye(3)), hold, segments)
+    return waypoints(Pose(np.zeros(3), np.eye(3)), hold, segments)
 
 
 TRUTHS = {}

@@ -17,7 +17,7 @@ from bellows_ros.core.recording.faults import recording_remarks
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.prepared_faults import MAX_NOISE_ORDER, noise_order
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, Waypoints
+from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, waypoints
 from bellows_ros.errors import BellowsError
 from bellows_ros.report.findings import prevents, text
 from bellows_ros.workflows.causes import cause_finding
@@ -131,7 +131,7 @@ def test_a_motion_that_nearly_repeats_is_of_one_clock():
 def test_clocks_that_are_apart_are_no_exchanged_topics():
     """Although the package seems to be above a tool that sinks."""
     rng = np.random.default_rng(1)
-    sinking = Waypoints(Pose(np.zeros(3), np.eye(3)), 1.0, tuple(MoveAndHold(
+    sinking = waypoints(Pose(np.zeros(3), np.eye(3)), 1.0, tuple(MoveAndHold(
         Pose(np.array([0.0, 0.0, -0.15 * (i + 1)]), exp_so3(0.2 * rng.normal(size=3))), 0.8, 0.1)
         for i in range(12)))
     found, = remarks(record(sinking, later=-2.0, tool=(1e-4, 5e-4), package=(1e-4, 5e-4)))

@@ -81,7 +81,7 @@ def test_standstills_too_short_for_the_package_are_counted():
 
 
 def test_a_motion_without_rest_has_no_standstill():
-    motion = replace(simulated.shake(duration=6.0), rest_duration=0.3)
+    motion = simulated.shake(duration=6.0, rest=0.3)
     recording = simulated.record(motion)
     with pytest.raises(BellowsError, match=r'\b0\.5 s\b'):
         standstills_of(recording)

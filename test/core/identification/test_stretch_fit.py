@@ -1,7 +1,5 @@
 """Selection of coupling and stretch: rates of errors, and a bellows that is not of the law."""
 
-from dataclasses import replace
-
 from bellows_ros.core.geometry.lie import exp_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.identification import methods
 from bellows_ros.core.model.cup_package import Cup, model_tuple, regressor
@@ -16,7 +14,7 @@ from bellows_ros.errors import UndeterminedError
 import numpy as np
 import pytest
 
-from .simulated import CUP, GRAVITY, record, shake, standstills
+from .simulated import CUP, GRAVITY, LINES, record, shake, standstills
 from .. import fem
 
 VALUES = {
@@ -27,11 +25,10 @@ TILTS = np.radians([[10, 0, 0], [0, 20, 0], [-20, 0, 0], [0, -10, 0], [14, -14, 
 
 def small_shake(seed, duration):
     """Return a motion of all axes, with up to 6 degrees of bending and 1 mm of stretch."""
-    motion = shake(duration=duration, seed=seed)
-    amplitude, frequency = 0.38 * motion.amplitude, motion.frequency.copy()
-    amplitude[motion.axis == 5] *= 0.35
-    amplitude[motion.axis == 2], frequency[motion.axis == 2] = (0.004, 0.0025), [[3.1], [5.3]]
-    return replace(motion, amplitude=amplitude, frequency=frequency)
+    lines = [tuple((size * amplitude, f) for amplitude, f in axis)
+             for size, axis in zip((0.38,) * 5 + (0.133,), LINES, strict=True)]
+    lines[2] = (0.004, 3.1), (0.0025, 5.3)
+    return shake(duration=duration, seed=seed, lines=tuple(lines))
 
 
 def moved(motion, mass):

@@ -26,7 +26,7 @@ G = 9.81
 
 def tool_motion(duration=8.0, at_rest=1.0):
     """Return a tool that moves in all directions after standing still, by its formula."""
-    return replace(simulated.shake(duration=duration), rest_duration=at_rest).at_rate(RATE, 0)
+    return simulated.shake(duration=duration, rest=at_rest).at_rate(RATE, 0)
 
 
 def stream(name, motion, noise, rng, kept):
@@ -71,7 +71,7 @@ def test_noise_explains_the_error_of_the_true_cup(judged):
 @pytest.mark.parametrize('kept', [0.0, 0.75])
 def test_noise_of_poses_too_slow_for_a_stride_is_known_by_a_standstill(kept):
     """Find a memory of 30 ms at 120 Hz, and none where there is none."""
-    motion = replace(simulated.shake(duration=10.0), rest_duration=2.0)
+    motion = simulated.shake(duration=10.0, rest=2.0)
     sizes = (5e-4, 2.5e-3)
     recorded = simulated.record(motion, tool=sizes, package=sizes, kept=kept)
     for noise in recorded.body_noise:
