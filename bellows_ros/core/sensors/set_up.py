@@ -55,22 +55,24 @@ def fault_of(still: Still, sensor: WrenchSensor, weight: float) -> tuple[bool, s
     """
     size, bias_std = weight * np.repeat([1.0, ARM], 3), np.repeat(sensor.bias_std, 3)
     noise = np.hypot(NOISE * size, np.repeat(sensor.noise, 3) / 5.0)
-    if _misfit(still, np.eye(6), noise, bias_std)[0] < MISFIT:
+    misfits = {'': _misfit(still, np.eye(6), noise, bias_std)[0]}
+    if misfits[''] < CLEAR:
         return False, ''
-    down = still.R_world_sensor[:, 2]
-    if (down @ down[0]).min() > COS_MIN_TILT:
-        return True, ''
-    position, axes, _ = sensor.mount
+    down, (position, axes, _) = still.R_world_sensor[:, 2], sensor.mount
     to_tip, in_world = np.eye(6), np.zeros((len(down), 6, 6))
     to_tip[3:, :3] = lie.hat(np.reshape(axes, (3, 3)).T @ position)
     in_world[:, :3, :3] = in_world[:, 3:, 3:] = still.R_world_sensor
-    misfits = {name: _misfit(still, T, noise, bias_std)[0] for name, T in (
+    misfits |= {name: _misfit(still, T, noise, bias_std)[0] for name, T in (
         ('sign', -np.eye(6)), ('world_axes', in_world), ('tcp', to_tip),
         ('compensated', np.zeros((6, 6))))}
     holding, offset = _misfit(still, np.eye(6), noise, 3.0 * size)
     if HOLDING[0] < np.linalg.norm(offset[:3]) / weight < HOLDING[1]:
         misfits['zeroed_holding'] = holding
     first, second, *_ = sorted(misfits, key=misfits.__getitem__)
+    if misfits[''] < min(MISFIT, misfits[first] + CLEAR):
+        return False, ''
+    if (down @ down[0]).min() > COS_MIN_TILT:
+        return True, ''
     is_clear = misfits[first] < min(MISFIT, misfits[second] - CLEAR)
     return True, first if is_clear else 'unknown'
 

@@ -56,6 +56,15 @@ def test_wrench_alone_finds_mass_and_place_and_helps_a_camera():
     assert abs(mass[0]) < min(0.02 * run.mass, 2.0 * mass[1])
 
 
+@pytest.mark.parametrize('offset', [4.1, -4.1])
+def test_offset_of_a_data_sheet_is_no_mass(offset):
+    """Of 4 N along gravity, which motion alone distinguishes from 0.4 kg."""
+    run = simulated(0, 'UR', True, 3.2)
+    found = predict(run, 0, before=lambda k, live, reading: reading + [
+        0.0, 0.0, offset, 0.0, 0.0, 0.0])[0].payload
+    assert abs(found.mass - run.mass) < 2.0 * found.mass_std < 0.1 * run.mass
+
+
 def test_loss_is_told():
     """Within 20 ms, with the delay of the sensor, and nothing before."""
     run = simulated(2, 'ATI', True, 3.3, 'lost', 3.0)
