@@ -40,7 +40,7 @@ class PlanMessage:
         Times from the start, ns.
     poses : array (N, 7)
         Position (m) and quaternion xyzw.
-    twists, accelerations : array (N, 6) or None
+    twists : array (N, 6) or None
 
     """
 
@@ -50,7 +50,6 @@ class PlanMessage:
     times_ns: Stamps
     poses: Array
     twists: Array | None = None
-    accelerations: Array | None = None
 
     def __post_init__(self) -> None:
         """Raise for several names for one transform of each point, and for unusable names."""
@@ -63,14 +62,6 @@ class PlanMessage:
 
 FieldTypes = tuple[tuple[str, str], ...]
 """Names and formats."""
-
-
-def _point(parts: tuple[int, ...]) -> FieldTypes:
-    """Return the fields of a point; the field nX is the number of items of part X."""
-    fields = [('sec', '<i4'), ('nanosec', '<u4')]
-    for name, size, doubles in zip('cba', parts[::-1], (6, 6, 7), strict=True):
-        fields[:0] = [(f'n{name}', '<u4'), *[(name, f'({doubles},)<f8')] * size]
-    return tuple(fields)
 
 
 @cache
@@ -102,12 +93,13 @@ def _encode(head: bytes, fields: FieldTypes, columns: Mapping[str, Any]) -> byte
 def encode_multi_dof(plan: PlanMessage) -> bytes:
     """Encode a MultiDOFJointTrajectory of one joint, little-endian."""
     head = _head(plan.stamp_ns, plan.frame_id, plan.names, len(plan.times_ns))
-    values = (plan.poses, plan.twists, plan.accelerations)
-    parts = tuple(int(value is not None) for value in values)
     seconds, nanoseconds = np.divmod(plan.times_ns, NS_PER_S)
-    return _encode(head, _point(parts), {
-        'sec': seconds, 'nanosec': nanoseconds, **dict(zip('abc', values, strict=True)),
-        **dict(zip(('na', 'nb', 'nc'), parts, strict=True))})
+    given = plan.twists is not None
+    fields = (('na', '<u4'), ('a', '(7,)<f8'), ('nb', '<u4'), *((('b', '(6,)<f8'),) * given),
+              ('no_accelerations', '<u4'), ('sec', '<i4'), ('nanosec', '<u4'))
+    return _encode(head, fields, {
+        'na': 1, 'a': plan.poses, 'nb': int(given), 'b': plan.twists, 'no_accelerations': 0,
+        'sec': seconds, 'nanosec': nanoseconds})
 
 
 def encode_joints(
@@ -247,18 +239,15 @@ def plans_of(message: Any) -> list[PlanMessage | JointPlan]:
 def multi_dof(message: Any) -> PlanMessage:
     """Return the points of a MultiDOFJointTrajectory."""
     points = message.points
-    transforms, *rates = (lists_of(points, part, 1)
-                          for part in ('transforms', 'velocities', 'accelerations'))
+    transforms, rates = (lists_of(points, part, 1) for part in ('transforms', 'velocities'))
     if transforms is None:
         raise BellowsError('The plan has points without transforms; expected one of each.')
     poses = np.array([pose_of(each.translation, each.rotation) for (each,) in transforms])
-    twists, accelerations = (
-        None if lists is None else np.array(
-            [(*_vector(each.linear), *_vector(each.angular)) for (each,) in lists])
-        for lists in rates)
+    twists = None if rates is None else np.array(
+        [(*_vector(each.linear), *_vector(each.angular)) for (each,) in rates])
     return PlanMessage(
         ns_of(message.header.stamp), message.header.frame_id, tuple(message.joint_names),
-        durations_of(points), poses, twists, accelerations)
+        durations_of(points), poses, twists)
 
 
 def path_points(message: Any) -> PlanMessage:

@@ -15,8 +15,8 @@ from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import (
     demands,
     exceeded,
+    first_allowed,
     Limits,
-    stretched,
 )
 from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimulation
 from bellows_ros.core.planning.points import joint_excess, timed
@@ -192,7 +192,7 @@ def _slowdown(source: Source, method: str, limits: Limits) -> tuple[float, str]:
         return limit or ('' if joints is None else joint_excess(
             joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)[1])
 
-    return stretched(limit_at)
+    return first_allowed(limit_at)
 
 
 def _effect(source: Source, tool: Trajectory) -> SteeredMotion:

@@ -1,7 +1,6 @@
 """Kinematics of an arm from its URDF: pose and Jacobian of the tool for joint positions."""
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 import math
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -199,11 +198,9 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
     require_names(names, 'the URDF')
     arm = Arm(link, tool_link, tuple(_joint(each, by_name) for each in reversed(chain)))
     if not arm.moving:
-        match = get_close_matches(tool_link, by_child, n=1)
         raise BellowsError(
             f"No joint of the URDF moves tool_link '{shown(tool_link)}'; expected the link at the "
-            'tool tip. ' + (f"Did you mean '{shown(match[0])}'?" if match else
-                            f'Joints carry {shown(", ".join(list(by_child)[:20]), 300)}.'))
+            f'tool tip. Joints carry {shown(", ".join(list(by_child)[:20]), 300)}.')
     return arm
 
 

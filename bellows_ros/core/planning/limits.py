@@ -89,28 +89,20 @@ def read_limits(content: object) -> Limits:
     return Limits(rates, lower, upper, safety, acceleration)
 
 
-def largest_rates(rotation: Array, twist: Array, step: float) -> dict[str, float]:
+def demands(tool: Trajectory) -> dict[str, float]:
     """
-    Return the largest speed, acceleration and jerk, and the angular ones, SI, as in `RATES`.
+    Return the largest rates of a motion from rest to rest, SI, by the names of `RATES`.
 
-    The rates are computed by differences from rotations (N, 3, 3) and body twists (N, 6) with a
-    time step (s).
+    Accelerations and jerks are differences of the velocities at points 1 ms apart.
     """
-    rates = [apply(rotation, part) for part in (twist[:, :3], twist[:, 3:])]
+    duration_ns = int(tool.stamps_ns[-1] - tool.stamps_ns[0])
+    at = np.linspace(0, duration_ns, max(3, round(duration_ns / 1e6)) + 1).astype(np.int64)
+    points, step = resample(tool, tool.stamps_ns[0] + at), float(at[1]) / NS_PER_S
+    rates = [np.pad(apply(points.rotation, part), ((2, 2), (0, 0)))
+             for part in np.hsplit(np.asarray(points.twist), 2)]
     sizes = [np.linalg.norm(np.diff(rate, order, axis=0), axis=1) / step ** order
              for rate in rates for order in range(3)]
     return {name: float(size.max()) for name, size in zip(RATES, sizes, strict=True)}
-
-
-def demands(tool: Trajectory) -> dict[str, float]:
-    """Return the `largest_rates` of a motion from rest to rest, at points 1 ms apart."""
-    duration_ns = int(tool.stamps_ns[-1] - tool.stamps_ns[0])
-    at = np.linspace(0, duration_ns, max(3, round(duration_ns / 1e6)) + 1).astype(np.int64)
-    points = resample(tool, tool.stamps_ns[0] + at)
-    ends = ((2, 2), (0, 0))
-    return largest_rates(
-        np.pad(points.rotation, (*ends, (0, 0)), 'edge'), np.pad(np.asarray(points.twist), ends),
-        float(at[1]) / NS_PER_S)
 
 
 def used_parts(limits: Limits, tool: Trajectory, safety_factor: float) -> dict[str, float]:
@@ -132,7 +124,9 @@ def exceeded(limits: Limits, tool: Trajectory, safety_factor: float) -> str:
 
 
 def first_allowed(
-    limit_at: Callable[[float], str], scales: tuple[float, float, float], resolution: float
+    limit_at: Callable[[float], str],
+    scales: tuple[float, float, float] = (1.0, MAX_STRETCH, STRETCH_STEP),
+    resolution: float = STRETCH_RESOLUTION,
 ) -> tuple[float, str]:
     """
     Return the first time scale within limits, and the limit of faster motions.
@@ -168,11 +162,6 @@ def first_allowed(
         found = limit_at(middle)
         below, scale, limit = (middle, scale, found) if found else (below, middle, limit)
     return scale, limit
-
-
-def stretched(limit_at: Callable[[float], str]) -> tuple[float, str]:
-    """Return the smallest factor on time within limits, and the last exceeded; `first_allowed`."""
-    return first_allowed(limit_at, (1.0, MAX_STRETCH, STRETCH_STEP), STRETCH_RESOLUTION)
 
 
 class Fastest(NamedTuple):

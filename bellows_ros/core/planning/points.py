@@ -135,10 +135,9 @@ def plan_of_joints(
     rate, bend = (None if part is None else part[:, columns] for part in (velocity, acceleration))
     _require_points(stamps_ns, (q, rate, bend), 'The plan')
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    for steps_of, rates, what in ((q, rate, 'velocities'), (rate, bend, 'accelerations')):
-        if steps_of is not None and rates is not None:
-            require_consistent(np.diff(t), np.diff(steps_of, axis=0), rates,
-                               f'The plan: the {what} of its joints')
+    if rate is not None:
+        require_consistent(
+            np.diff(t), np.diff(q, axis=0), rate, 'The plan: the velocities of its joints')
     curve: Any = scipy.interpolate.CubicSpline(t, q, bc_type='clamped') if rate is None else (
         quintic(t, q, rate, bend) if bend is not None else
         scipy.interpolate.CubicHermiteSpline(t, q, rate))
@@ -162,25 +161,17 @@ def _continuous_quaternions(rotation: Array) -> Array:
     return q
 
 
-def _path(motion: Trajectory) -> tuple[Array, Array]:
-    """Return positions and quaternions (N, 7) of a motion, and their rates."""
-    q, twist = _continuous_quaternions(motion.rotation), np.asarray(motion.twist)
-    return np.hstack([motion.position, q]), np.hstack(
-        [lie.apply(motion.rotation, twist[:, :3]), _spin(q, twist[:, 3:])])
-
-
-def _spin(q: Array, rate: Array) -> Array:
-    """Return the rates of quaternions (N, 4) by body rates (N, 3)."""
-    return 0.5 * lie.quaternion_product(q, np.pad(rate, ((0, 0), (0, 1))))
-
-
 def curve_of(motion: Trajectory) -> Any:
     """
     Return a motion as cubic Hermite polynomials in time, s since its first point.
 
     The values are position and quaternion, (..., 7), normalised at the motion's points.
     """
-    return scipy.interpolate.CubicHermiteSpline(motion.seconds, *_path(motion))
+    q, twist = _continuous_quaternions(motion.rotation), np.asarray(motion.twist)
+    spin = 0.5 * lie.quaternion_product(q, np.pad(twist[:, 3:], ((0, 0), (0, 1))))
+    return scipy.interpolate.CubicHermiteSpline(
+        motion.seconds, np.hstack([motion.position, q]),
+        np.hstack([lie.apply(motion.rotation, twist[:, :3]), spin]))
 
 
 def body_twists(q: Array, rate: Array) -> tuple[Array, Array]:

@@ -87,7 +87,7 @@ def test_a_plan_of_joints_goes_through_its_points():
 
 
 @pytest.mark.parametrize(('urdf', 'link', 'named'), [
-    (URDF, 'tol', "tool_link 'tol'.* 'tool'"), (URDF, 'camera', "'eye'.* floating"),
+    (URDF, 'tol', "tool_link 'tol'.* tool, "), (URDF, 'camera', "'eye'.* floating"),
     ('<robot', 'tool', 'URDF'), ('<!DOCTYPE a [<!ENTITY b "c">]><robot/>', 'tool', 'URDF'),
     (URDF.replace('0 0 2', '0 0 0'), 'tool', "'turn'.* axis"),
     (URDF.replace('0 0 2', '0 0 x'), 'tool', "'turn'.* axis .*'0 0 x'"),

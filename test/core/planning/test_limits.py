@@ -9,9 +9,9 @@ from bellows_ros.core.planning.limits import (
     demands,
     exceeded,
     fastest,
+    first_allowed,
     NO_LIMITS,
     RATES,
-    stretched,
 )
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, timed
@@ -68,11 +68,11 @@ def test_the_first_allowed_time_is_found_though_slower_ones_are_not_allowed():
     def limit_at(scale):
         return '' if 1.3 <= scale <= 1.4 or scale > 2.0 else 'fast' if scale < 1.2 else 'later'
 
-    scale, limit = stretched(limit_at)
+    scale, limit = first_allowed(limit_at)
     assert limit == 'later' and 1.3 <= scale < 1.3 * 1.001
-    assert stretched(lambda scale: '') == (1.0, '')
+    assert first_allowed(lambda scale: '') == (1.0, '')
     with pytest.raises(BellowsError, match='jerk even at 20'):
-        stretched(lambda scale: 'jerk')
+        first_allowed(lambda scale: 'jerk')
 
 
 def shake(size, duration=2.0, cycles=6):
