@@ -13,12 +13,14 @@ from rich.text import Text
 
 from .text import MAX_TEXT, Writer
 
-COMPILING = '; compiling, once on this machine'
-"""Suffix of the stage's name on a machine without compiled code."""
+COMPILING = 'Compiling (once a version): about 15 s.'
+"""Announcement of the compiler; the processor time of `identify`, the longest of all commands."""
 
 
 class Progress:
     """One line with the stage, a bar and the remaining time, on a terminal alone."""
+
+    _listens = False
 
     def __init__(self, stream: Stream) -> None:
         self._bar = progress.Progress(
@@ -35,7 +37,9 @@ class Progress:
     def __call__(self, stage: str, fraction: float | None = None) -> None:
         """Show a stage and, if known, the completed fraction of the whole work."""
         jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')  # of commands that compute
-        stage += COMPILING if jit and jit.IS_NEW else ''
+        if jit and not self._listens:
+            jit.announce(lambda: self._bar.console.print(COMPILING, highlight=False))
+            self._listens = True
         self._bar.start()
         self._bar.update(self._task, description=shown(stage, MAX_TEXT), completed=fraction or 0.0,
                          total=None if fraction is None else 1.0)

@@ -181,7 +181,7 @@ def test_a_crash_has_its_own_exit_code_and_asks_for_a_report(error, capsys):
 @pytest.mark.parametrize('is_new', [True, False])
 def test_progress_stands_on_a_terminal_and_says_that_nothing_is_compiled_yet(
         is_new, monkeypatch, capsys):
-    monkeypatch.setattr(jit, 'IS_NEW', is_new)
+    monkeypatch.setattr(jit, 'announce', lambda tell: tell() if is_new else None)
     for terminal in ('', '1'):
         if terminal:
             monkeypatch.setenv('FORCE_COLOR', terminal)
@@ -189,7 +189,7 @@ def test_progress_stands_on_a_terminal_and_says_that_nothing_is_compiled_yet(
             progress('fitting', 0.5)
         said = capsys.readouterr().err
         assert ('fitting' in said) == bool(terminal) and ('50%' in said) == bool(terminal)
-        assert ('fitting; compiling' in said) == (is_new and bool(terminal))
+        assert ('Compiling (once a version): about' in said) == is_new
 
 
 @pytest.mark.parametrize(('number', 'said'), [

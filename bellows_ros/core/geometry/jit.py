@@ -128,6 +128,33 @@ def inlined_entry(function: Function) -> Function:
     return numba.njit(cache=FOLDER is not None, **INLINED)(function) if COMPILED else function
 
 
+def announce(tell: Callable[[], object]) -> None:
+    """Call a function once, before the first entry is compiled in this process."""
+    if not COMPILED:
+        return
+    from numba.core import event
+
+    class First(event.Listener):  # type: ignore[misc]
+        """Listener for the first start of the compiler."""
+
+        told = False
+
+        def on_start(self, _: Any) -> None:
+            """Tell once."""
+            if not self.told:
+                self.told = True
+                tell()
+
+        def on_end(self, _: Any) -> None:
+            """Do nothing."""
+
+    event.register(COMPILE, First())
+
+
+COMPILE = 'numba:compile'
+"""Event of numba: an entry that is not stored on disk is compiled."""
+
+
 def damage(error: BaseException) -> str:
     """Return the remedy if an error is caused by damaged machine code on disk, else ''."""
     files = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
