@@ -22,14 +22,17 @@ from bellows_ros import plots
 from bellows_ros.core import configure_process
 from bellows_ros.core.geometry.jit import compile_aside, IS_NEW
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.live import warm_up
+from bellows_ros.core.model.cup_package import Cup, STANDARD_GRAVITY
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
+from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, require_pictures
 from bellows_ros.files import bags, parameter_files
 from bellows_ros.nodes.command import require_ros
 from bellows_ros.nodes.domain import isolate
-from bellows_ros.workflows import identification, identify, warm_up
+from bellows_ros.workflows import identification, identify
 from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np
 
@@ -97,10 +100,11 @@ def run(folder: Path, out: Path) -> int:
     _require(folder, out)
     fitted, validated, package = (folder / name for name in BAGS)
     compiler = None
-    if IS_NEW:
-        print('Compiling (once a version): about 60 s.', flush=True)
-        compiler = compile_aside(warm_up.compile_part, 'prediction')
     given = parameter_files.read_parameters(package)
+    if IS_NEW:
+        print('Compiling (once a version): about 30 s.', flush=True)
+        compiler = compile_aside(warm_up, Cup.thesis(), package_of(
+            resolve(given, PACKAGE_PARAMETERS)), STANDARD_GRAVITY, 'world')
     print(f'1. Identify the cup from {fitted}', flush=True)
     result = identify.identify(
         resolve({**given, 'bags': [str(fitted)]}, PACKAGE_PARAMETERS), show_progress)

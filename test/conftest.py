@@ -94,7 +94,8 @@ def pytest_configure(config):
     is_first = 'PYTEST_XDIST_WORKER' not in os.environ
     if is_whole and is_first and config.getoption('numprocesses', None):
         from bellows_ros.core.geometry.jit import COMPILED
-        from bellows_ros.workflows.warm_up import PARTS, RELAXING, warm_up
+
+        from .compiling import PARTS, RELAXING, warm_up
 
         if COMPILED:
             print('The kernels are compiled first, once for all workers.', flush=True)
@@ -103,7 +104,7 @@ def pytest_configure(config):
 
 def compiled(*arguments):
     """Compile a part outside the time limit of a test, in one worker; others then load it."""
-    from bellows_ros.workflows.warm_up import compile_part  # late, as NumPy loads slowly
+    from .compiling import compile_part  # late, as NumPy loads slowly
 
     with (ROOT / 'pyproject.toml').open() as turn:
         fcntl.flock(turn, fcntl.LOCK_EX)

@@ -27,6 +27,7 @@ numba: Any
 NOT_COMPILED: str = ''
 """Reason why entries are not compiled, with the remedy if there is one."""
 try:
+    import numba.core.event
     import numba.extending
     if numba.config.DISABLE_JIT:
         NOT_COMPILED = 'NUMBA_DISABLE_JIT is set'
@@ -132,9 +133,8 @@ def announce(tell: Callable[[], object]) -> None:
     """Call a function once, before the first entry is compiled in this process."""
     if not COMPILED:
         return
-    from numba.core import event
 
-    class First(event.Listener):  # type: ignore[misc]
+    class First(numba.core.event.Listener):  # type: ignore[misc]
         """Listener for the first start of the compiler."""
 
         told = False
@@ -148,7 +148,7 @@ def announce(tell: Callable[[], object]) -> None:
         def on_end(self, _: Any) -> None:
             """Do nothing."""
 
-    event.register(COMPILE, First())
+    numba.core.event.register(COMPILE, First())
 
 
 COMPILE = 'numba:compile'

@@ -1,4 +1,4 @@
-"""Compilation of all entries ahead of their first use, in as many processes as cores."""
+"""Compilation of all entries ahead of the tests, in as many processes as cores."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import as_completed, ProcessPoolExecutor
