@@ -402,29 +402,11 @@ def adjoint(T: Array) -> Array:
     return X
 
 
-def exp_se3(xi: Array) -> Array:
-    """
-    Return the pose reached in unit time with a constant twist.
-
-    Parameters
-    ----------
-    xi : array (..., 6)
-        Linear part (m) first, rotation vector (rad) last.
-
-    Returns
-    -------
-    array (..., 4, 4)
-
-    """
-    phi = xi[..., 3:]
-    return transform(exp_so3(phi), apply(dexp(phi), xi[..., :3]))
-
-
 def log_se3(T: Array) -> Array:
     """
     Return the constant twist that reaches a pose in unit time.
 
-    The inverse of `exp_se3` for angles below pi.
+    The inverse of the exponential map for angles below pi.
 
     Parameters
     ----------

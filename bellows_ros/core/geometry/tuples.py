@@ -163,15 +163,6 @@ def hat(a: Vector) -> Matrix:
 
 
 @kernel
-def outer(a: Vector, b: Vector) -> Matrix:
-    """Return a b^T."""
-    return (
-        a[0] * b[0], a[0] * b[1], a[0] * b[2],
-        a[1] * b[0], a[1] * b[1], a[1] * b[2],
-        a[2] * b[0], a[2] * b[1], a[2] * b[2])
-
-
-@kernel
 def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
     """Return the Hamilton product p q, the rotation q followed by p."""
     return (
@@ -283,101 +274,39 @@ def rotation_vector_rate(phi: Vector, omega: Vector) -> Vector:
 if COMPILED:
     @kernel
     def add_product(A: Any, B: Any, out: Any) -> Any:
-        """Add A B to the first rows of out; A may have more columns than B has rows."""
-        return _add_from(0, A, B, out)
-
-    @kernel
-    def _add_from(first: int, A: Any, B: Any, out: Any) -> Any:
-        """Add the product from a column of A on, in blocks of 12 or 6 columns without zeros."""
+        """Add the product A B, of as many columns of A as rows of B, to the first rows of out."""
         n = min(A.shape[1], B.shape[0])
+        whole = n - n % 4  # four rows at once, which needs a quarter of the stores
         for i in range(A.shape[0]):
-            row, m = out[i], first
-            while n - m >= 12:
-                C = A[i, m:m + 12]
-                if C.any():
-                    _add_rows(C, B[m:m + 12], row)
-                m += 12
-            if n - m >= 6 and A[i, m:m + 6].any():
-                a, b, c, d, e, f = (
-                    A[i, m], A[i, m + 1], A[i, m + 2], A[i, m + 3], A[i, m + 4], A[i, m + 5])
+            row = out[i]
+            for k in range(0, whole, 4):
+                a, b, c, d = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
                 for j in range(B.shape[1]):
                     row[j] += (
-                        a * B[m, j] + b * B[m + 1, j] + c * B[m + 2, j] + d * B[m + 3, j]
-                        + e * B[m + 4, j] + f * B[m + 5, j])
-            m += 6 if n - m >= 6 else 0
-            for k in range(m, n):
-                if A[i, k] != 0.0:
-                    for j in range(B.shape[1]):
-                        row[j] += A[i, k] * B[k, j]
+                        a * B[k, j] + b * B[k + 1, j] + c * B[k + 2, j] + d * B[k + 3, j])
+            for k in range(whole, n):
+                for j in range(B.shape[1]):
+                    row[j] += A[i, k] * B[k, j]
         return out
-
-    @kernel
-    def _add_rows(C: Any, B: Any, row: Any) -> None:
-        """Add C B, with C (12,)."""
-        a, b, c, d, e, f = C[0], C[1], C[2], C[3], C[4], C[5]
-        g, h, p, q, r, s = C[6], C[7], C[8], C[9], C[10], C[11]
-        for j in range(B.shape[1]):
-            row[j] += (
-                a * B[0, j] + b * B[1, j] + c * B[2, j] + d * B[3, j] + e * B[4, j] + f * B[5, j]
-                + g * B[6, j] + h * B[7, j] + p * B[8, j] + q * B[9, j] + r * B[10, j]
-                + s * B[11, j])
-
-    @kernel
-    def product(A: Any, B: Any, out: Any) -> Any:
-        """Return A B, written to the first rows of out; slices of columns would be far slower."""
-        if A.shape[1] < 12:
-            out[:] = 0.0
-            return _add_from(0, A, B, out)
-        for i in range(A.shape[0]):
-            a, b, c, d, e, f = A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]
-            g, h, p, q, r, s = A[i, 6], A[i, 7], A[i, 8], A[i, 9], A[i, 10], A[i, 11]
-            for j in range(B.shape[1]):
-                out[i, j] = (
-                    a * B[0, j] + b * B[1, j] + c * B[2, j] + d * B[3, j] + e * B[4, j]
-                    + f * B[5, j] + g * B[6, j] + h * B[7, j] + p * B[8, j] + q * B[9, j]
-                    + r * B[10, j] + s * B[11, j])
-        out[len(A):] = 0.0
-        return _add_from(12, A, B, out) if A.shape[1] > 12 else out
-
-    @kernel
-    def add_array(A: Any, factor: float, out: Any) -> Any:
-        """Add factor A to the first rows, and return the sum."""
-        for i in range(A.shape[0]):
-            for j in range(A.shape[1]):
-                out[i, j] += factor * A[i, j]
-        return out
-
-    @kernel
-    def subtract_product(Z: Any, B: Any, out: Any) -> None:
-        """Subtract Z^T B, of six rows each, from the first rows; Z^T Z stays symmetric."""
-        for i in range(Z.shape[1]):
-            row = out[i]
-            a, b, c, d, e, f = Z[0, i], Z[1, i], Z[2, i], Z[3, i], Z[4, i], Z[5, i]
-            is_any = a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0 or e != 0.0 or f != 0.0
-            for j in range(B.shape[1] if is_any else 0):
-                row[j] -= (
-                    a * B[0, j] + b * B[1, j] + c * B[2, j] + d * B[3, j] + e * B[4, j]
-                    + f * B[5, j])
 else:
     def add_product(A: Any, B: Any, out: Any) -> Any:
         """Add A B to the first rows, and return the sum."""
         out[:len(A)] += A[:, :len(B)] @ B
         return out
 
-    def product(A: Any, B: Any, out: Any) -> Any:
-        """Write A B to the first rows, and return it."""
-        out[:] = 0.0
-        out[:len(A)] = A[:, :len(B)] @ B
-        return out
 
-    def add_array(A: Any, factor: float, out: Any) -> Any:
-        """Add factor A to the first rows, and return the sum."""
-        out[:len(A)] += factor * A
-        return out
+@kernel
+def product(A: Any, B: Any, out: Any) -> Any:
+    """Write A B to the first rows and zeros to the others, and return the result."""
+    out[:] = 0.0
+    return add_product(A, B, out)
 
-    def subtract_product(Z: Any, B: Any, out: Any) -> None:
-        """Subtract Z^T B from the first rows."""
-        out[:Z.shape[1]] -= Z.T @ B
+
+@kernel
+def add_array(A: Any, factor: float, out: Any) -> Any:
+    """Add factor A to the first rows, and return the sum."""
+    out[:len(A)] += factor * A
+    return out
 
 
 @kernel

@@ -275,7 +275,7 @@ def posterior(
         return False, body, theta
     for i in range(len(P)):
         P[i, i] *= 1.0 + RELATIVE_ROUNDING
-    t3.subtract_product(Z, Z, P)
+    t3.add_product(t3.transpose(-Z), Z, P)
     return True, changed, moved_theta
 
 
