@@ -15,6 +15,7 @@ import inspect
 from io import TextIOWrapper
 import os
 from pathlib import Path
+from shutil import which
 import signal
 import sys
 import threading
@@ -366,7 +367,8 @@ def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
         steps.insert(0, f'Without --out-cell cell.yaml the estimates of {lost} are lost.')
     return (*steps, *((
         'Then predict live:',
-        f'  ros2 run bellows_ros predictor --ros-args --params-file {cell} --params-file {out}'
+        f'  {"" if which("predictor") else "ros2 run bellows_ros "}predictor --ros-args'
+        f' --params-file {cell} --params-file {out}'
         + ''.join(f' -r {name}:={topic}' for name, topic in result.remappings.items())
     ) if cell else ()))
 

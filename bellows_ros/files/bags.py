@@ -185,14 +185,26 @@ def messages_of(
     with _opened(path) as reader:
         for connection, log_ns, data in _stored(
                 reader, lambda own, kind: kind in types and name in ('', own)):
-            try:
-                store = message_types(connection.msgtype, connection.msgdef.data)
-                message = store.deserialize_cdr(data, connection.msgtype)
-            except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
-                raise BellowsError(
-                    f"A {connection.msgtype} in '{path}' cannot be decoded: "
-                    f'{shown(str(error), 300)}. Record it again.') from None
-            yield connection.topic, log_ns, message
+            yield connection.topic, log_ns, decoded(
+                data, connection.msgtype, connection.msgdef.data, f" in '{path}'")
+
+
+def decoded(data: bytes, type_name: str, definition: str = '', where: str = '') -> Any:
+    """
+    Return a message of a type, by its recorded definition if any; `where` it is, for errors.
+
+    Raises
+    ------
+    BellowsError
+        If the message is damaged.
+
+    """
+    try:
+        return message_types(type_name if definition else '', definition).deserialize_cdr(
+            data, type_name)
+    except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
+        raise BellowsError(f'A {type_name}{where} cannot be decoded: {shown(str(error), 300)}. '
+                           'Record or send it again.') from None
 
 
 @cache

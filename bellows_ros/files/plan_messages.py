@@ -22,6 +22,7 @@ import numpy as np
 
 MULTI_DOF = 'trajectory_msgs/msg/MultiDOFJointTrajectory'
 PATH = 'nav_msgs/msg/Path'
+JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 
 
 @dataclass(frozen=True, eq=False)

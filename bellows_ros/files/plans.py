@@ -16,6 +16,7 @@ from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import bags, File, read_text, safe_yaml
 from bellows_ros.files.plan_messages import (
     JointPlan,
+    JOINTS,
     MULTI_DOF,
     ns_of,
     PATH,
@@ -24,7 +25,6 @@ from bellows_ros.files.plan_messages import (
 )
 import numpy as np
 
-JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
 PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, 'moveit_msgs/msg/RobotTrajectory',

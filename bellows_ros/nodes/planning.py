@@ -27,7 +27,7 @@ from ..core.planning.points import joint_excess, Joints, plan_of, plan_of_joints
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, same_frame, Trajectory
 from ..errors import BellowsError
-from ..files import plan_messages
+from ..files import bags, plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
 from ..report.findings import warnings
 from ..report.health import fact, number, Status
@@ -38,8 +38,8 @@ TAIL = 2.0
 MAX_STEERED_DURATION = 60.0
 """Longest motion that is steered live, s; longer ones would delay the next answer."""
 
-Read = Callable[[Any], tuple[PlanMessage | JointPlan, Trajectory, Joints | None]]
-"""Reader of a message: the plan, its motion of E, and the joints of a plan of joints."""
+Read = Callable[[bytes], tuple[PlanMessage | JointPlan, Trajectory, Joints | None]]
+"""Reader of the bytes of a message, which rclpy would decode in the executor: the plan, its motion of E, and the joints of a plan of joints."""
 
 
 class Planning:
@@ -61,7 +61,7 @@ class Planning:
                 (MultiDOFJointTrajectory, 'package/plan'), (Path, 'package/plan_path'),
                 (MultiDOFJointTrajectory, 'tool_arm/steered'),
                 (JointTrajectory, 'tool_arm/steered_joints')))
-        self._urdf, self._is_warm = '', False
+        self._urdf, self._warming = '', Future[None]()
         self._stop, self._answering = np.zeros(1, np.bool_), Future[None]()
         self._outcome: PlanPrediction | Status | None = None
         sys.setswitchinterval(5e-5)  # s; limits the wait of the live prediction
@@ -70,7 +70,7 @@ class Planning:
                                   (JointTrajectory, 'tool_arm/plan_joints', self._of_joints)):
             node.create_subscription(
                 kind, topic, partial(self._on_plan, read), 10,
-                on_publishers=self._on_publishers)
+                on_publishers=self._on_publishers, raw=True)
         node.create_subscription(String, 'robot_description', self._on_description, LATCHED)
 
     def forget(self) -> None:
@@ -79,16 +79,18 @@ class Planning:
         self._answering.cancel()
         self._stop = np.zeros(1, np.bool_)  # the one before belongs to the work that it stops
 
-    def _on_plan(self, read: Read, message: Any) -> None:
+    def _on_plan(self, read: Read, data: bytes) -> None:
         """Answer a plan, instead of the one before, in a thread."""
         self.forget()
-        self._answering = self._pipeline.node.aside(self._answer, read, message, self._stop)
+        if not self._warming.done():
+            self._pipeline.node.get_logger().info(
+                'A plan waits until its answer is compiled (once a version, up to a minute).')
+        self._answering = self._pipeline.node.aside(self._answer, read, data, self._stop)
 
     def _on_publishers(self, count: int) -> None:
         """Compile the answers with an example, in the thread, once a publisher appears."""
-        if count and not self._is_warm:
-            self._is_warm = True
-            self._pipeline.node.aside(self._warm_up)
+        if count and not (self._warming.running() or self._warming.done()):
+            self._warming = self._pipeline.node.aside(self._warm_up)
 
     def _warm_up(self) -> None:
         """Answer an example, unless the cup cannot hold the package."""
@@ -101,10 +103,10 @@ class Planning:
         """Store the arm, which is read when a plan needs it."""
         self._urdf = message.data
 
-    def _answer(self, read: Read, message: Any, stop: Mask) -> None:
+    def _answer(self, read: Read, data: bytes, stop: Mask) -> None:
         """Publish the package along a plan and, for its subscribers, the plan without swing."""
         try:
-            plan, tool, joints = read(message)
+            plan, tool, joints = read(data)
             prediction = self._predict(tool, TAIL, stop)
             self._outcome = prediction
             self._publish(plan, tool, prediction)
@@ -163,10 +165,10 @@ class Planning:
 
     # ---------------------------------------------------------------- reading
 
-    def _of_tool(self, data: MultiDOFJointTrajectory) -> tuple[PlanMessage, Trajectory, None]:
+    def _of_tool(self, data: bytes) -> tuple[PlanMessage, Trajectory, None]:
         """Return a plan of the tool, and its motion of E."""
         values = self._pipeline.values
-        message = plan_messages.multi_dof(data)
+        message = plan_messages.multi_dof(bags.decoded(data, plan_messages.MULTI_DOF))
         self._require_frame(message.frame_id)
         self._pipeline.node.note_frame(
             message.frame_id, 'tool_arm/plan', 'its frame is that of the tool poses')
@@ -176,7 +178,7 @@ class Planning:
         tip = tip_of(values)
         return message, motion if tip is None else at_tip(motion, tip), None
 
-    def _of_joints(self, message: JointTrajectory) -> tuple[JointPlan, Trajectory, Joints]:
+    def _of_joints(self, data: bytes) -> tuple[JointPlan, Trajectory, Joints]:
         """Return a plan of joints, the motion of E by it, and its joints."""
         values = self._pipeline.values
         if not (self._urdf and values.tool_link):
@@ -186,7 +188,7 @@ class Planning:
                 'and set tool_link to the link at the tool tip.')
         arm: Arm = read_arm(self._urdf, values.tool_link).with_tip(tip_of(values))
         self._require_frame(arm.root)
-        plan = plan_messages.joint_plan(message)
+        plan = plan_messages.joint_plan(bags.decoded(data, plan_messages.JOINTS))
         return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
 
     def _require_frame(self, frame_id: str) -> None:

@@ -109,7 +109,7 @@ def test_no_text_of_a_message_reaches_log_diagnostics_or_outputs(graph, capfd):
     node.diagnostics.report()
     assert len(inputs) >= 10, inputs
     planning = node.pipeline.planning
-    partner.wait(lambda: planning._is_warm and is_idle(node))
+    partner.wait(lambda: planning._warming.done() and is_idle(node))
     for stamp, text in enumerate(TEXTS):
         for kind, writer in inputs.values():
             for message in with_text(sound(kind), text):

@@ -142,7 +142,7 @@ partner.connect(predictor)
 pipeline = predictor.pipeline
 planning = pipeline.planning
 partner.wait(lambda: planning._plan_out.subscribed and pipeline.outputs.landing.is_ready
-             and planning._is_warm)
+             and planning._warming.done())
 send(1)
 plan = MultiDOFJointTrajectory(joint_names=['tool'], points=[
     MultiDOFJointTrajectoryPoint(

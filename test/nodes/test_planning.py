@@ -81,7 +81,7 @@ class Planner:
             data=UR5E.replace(f'"{ARM.root}"', '"world"')))
         partner.connect()
         self.planning = planning = partner.predictor.pipeline.planning
-        self.wait(lambda: planning._is_warm and planning._urdf and self.is_idle() and all(
+        self.wait(lambda: planning._warming.done() and planning._urdf and self.is_idle() and all(
             topic.subscribed for topic in (
                 planning._plan_out, planning._path_out, planning._steered,
                 planning._steered_joints)))
@@ -196,7 +196,6 @@ def test_bytes_that_are_no_plan_leave_the_node_alive(planner):
     assert not planner.partner.predictor.failures
 
 
-@pytest.mark.xfail(strict=True, reason='rclpy decodes each of these 60,001 points for 3 s')
 def test_a_newer_plan_replaces_one_that_takes_long(planner):
     """Stop what is not wanted any more: for a newer plan, for the end of the active state."""
     predictor = planner.partner.predictor
