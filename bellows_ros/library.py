@@ -140,7 +140,6 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
         'cup.damping': cup.damping.ravel().tolist(),
         'cup.length': float(cup.length),
         'cup.relaxation': cup.relaxation,
-        'cup.relaxation_times': cup.relaxation_times,
         'cup.stretch': cup.stretch}
     if package is not None:
         values.update({

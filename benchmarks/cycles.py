@@ -41,7 +41,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
 CUP: dict[str, Any] = {
     'cup.stiffness': np.diag(STIFFNESS).ravel().tolist(), 'cup.length': LENGTH,
     'cup.damping': np.diag(DAMPING).ravel().tolist(), 'vacuum.signal': 'bool',
-    'tool_noise.position': 2e-5, 'tool_noise.rotation': 5e-5}
+    'tool_noise': (2e-5, 5e-5)}
 CUP_STD = {
     'cup.stiffness_std': np.diag(WRONG['stiffness'] * STIFFNESS).ravel().tolist(),
     'cup.damping_std': np.diag(WRONG['damping'] * DAMPING).ravel().tolist()}

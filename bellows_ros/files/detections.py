@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.sensors.camera import (
-    ANY,
     Camera,
     camera_of,
     CornerViews,
@@ -37,8 +36,6 @@ class TagSought(NamedTuple):
     ----------
     side : float
         Side of the tag, m; 0 if unknown.
-    number : int
-        Number of the tag, or `ANY`.
     child_frame : str
         Frame of the tag on /tf, or its family and number.
     rectified : bool
@@ -47,7 +44,6 @@ class TagSought(NamedTuple):
     """
 
     side: float = 0.0
-    number: int = ANY
     child_frame: str = ''
     rectified: bool = False
 
@@ -172,16 +168,15 @@ def read_views(path: File, topic: str, tag: TagSought = NO_TAG) -> CornerViews:
 
 def _name_of(topic: str, path: File, views: list[Any], tag: TagSought) -> str:
     """Return family and number of the selected tag."""
-    found = tags_of(views, tag.number, tag.child_frame)
+    found = tags_of(views, tag.child_frame)
     if len(found) == 1:
         return next(iter(found))
     seen = ', '.join(f'{shown(name)} ({count} views)' for name, count in sorted(
         tags_of(views).items())) or 'none'
-    one = tag.child_frame or ('' if tag.number == ANY else str(tag.number))
+    what = f'{len(found)} tags' if found else f'no tag {shown(tag.child_frame)}'.rstrip()
     raise BellowsError(
-        f"Topic '{topic}' in recording '{Path(path)}' has "
-        f"{f'{len(found)} tags' if found else f'no tag {shown(one)}'.strip()}; seen are: {seen}. "
-        'Set measured.tag_id, or measured.child_frame to family:number.')
+        f"Topic '{topic}' in recording '{Path(path)}' has {what}; seen are: {seen}. "
+        'Set measured.child_frame to family:number of one.')
 
 
 def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:

@@ -391,7 +391,7 @@ class Observing:
             return
         given, stamp_ns = self._pipeline.values.measured, stamp_to_ns(message.header.stamp)
         seen = self._tag.pose(
-            message, given.tag_size, given.tag_id, given.child_frame)
+            message, given.tag_size, given.child_frame)
         if not isinstance(seen, str):
             position, rotation = seen
             self._correct(stamp_ns, message.header.frame_id, (

@@ -6,7 +6,6 @@ from contextlib import suppress
 from functools import partial
 import math
 import sys
-from typing import Any
 
 from nav_msgs.msg import Path
 import numpy as np
@@ -39,7 +38,8 @@ MAX_STEERED_DURATION = 60.0
 """Longest motion that is steered live, s; longer ones would delay the next answer."""
 
 Read = Callable[[bytes], tuple[PlanMessage | JointPlan, Trajectory, Joints | None]]
-"""Reader of the bytes of a message, which rclpy would decode in the executor: the plan, its motion of E, and the joints of a plan of joints."""
+"""Reader of a message, of the bytes, as rclpy would decode them in the thread of the executor: the
+plan, its motion of E, and the joints of a plan of joints."""
 
 
 class Planning:

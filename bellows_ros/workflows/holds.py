@@ -15,9 +15,9 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, File, messages
 import numpy as np
 
-SIGNALS = {'bool': (messages.BOOL, 'topics.held'),
-           'pressure': ('sensor_msgs/msg/FluidPressure', 'topics.pressure')}
-"""Message types of the vacuum, and parameters with its topics, by values of vacuum.signal."""
+SIGNALS = {'bool': (messages.BOOL, 'vacuum/held'),
+           'pressure': ('sensor_msgs/msg/FluidPressure', 'vacuum/pressure')}
+"""Message types and usual topics of the vacuum, by values of vacuum.signal."""
 
 MIXED_NS = 86_400 * NS_PER_S
 """Smallest distance between header stamps and times of recording of two clocks, ns: a day, beyond
@@ -40,12 +40,12 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
     vacuum, signals, signal = Vacuum(), list[Signal](), values.vacuum.signal
     if signal == 'none':
         return []
-    kind, parameter = SIGNALS[signal]
+    kind, usual = SIGNALS[signal]
+    name = values.topics.vacuum or usual
     for topic, log_ns, message in bags.messages_of(bag, {kind, messages.BOOL}):
         if topic.endswith('/vacuum/valve') and hasattr(message, 'data'):
             signals.append((log_ns, 'valve', bool(message.data), ALL))
-        if hasattr(message, 'data') == (signal != 'bool') or not is_named(
-                topic, values[parameter]):
+        if hasattr(message, 'data') == (signal != 'bool') or not is_named(topic, name):
             continue
         if signal == 'bool':
             signals.append((log_ns, 'vacuum', bool(message.data), ALL))
@@ -59,7 +59,7 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
         there = ', '.join(t.name for t in bags.topics(bag) if t.type_name == kind and t.messages)
         raise BellowsError(
             f"vacuum.signal is '{signal}', but recording '{os.fspath(bag)}' has no usable {kind} "
-            f'on {values[parameter]}; it has: {there or "none"}. Set {parameter} to the topic of '
+            f'on {name}; it has: {there or "none"}. Set topics.vacuum to the topic of '
             'the vacuum, or vacuum.signal: none.')
     return sorted(signals, key=itemgetter(0))
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # not needed by a plain identification
 NORMAL_95 = 1.959963984540054
 """Half width of a 95 % interval in standard errors."""
 
-CUP_EXTRAS = ('cup.relaxation', 'cup.relaxation_times', 'cup.stretch', 'cup.layout')
+CUP_EXTRAS = ('cup.relaxation', 'cup.stretch', 'cup.layout')
 """Parameters on which K and P depend; the cup file has them unless they have the default."""
 
 UNKNOWN_STD = 1e9

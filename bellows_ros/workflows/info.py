@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.outliers import find_outliers
@@ -215,7 +214,7 @@ class Info(NamedTuple):
     def valve(self) -> str:
         """The only possible topic of the valve; otherwise ''."""
         able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL
-                and not is_named(topic.name, str(PARAMETERS['topics.held'].default))]
+                and not is_named(topic.name, SIGNALS['bool'][1])]
         return able[0] if len(able) == 1 else ''
 
     @property
@@ -246,7 +245,7 @@ def info(path: File, given: Mapping[str, Any] = MappingProxyType({})) -> Info:
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     given : mapping
-        Parameters, such as 'recording.start' and 'measured.tag_id'; they replace proposed ones.
+        Parameters, such as 'recording.start'; they replace proposed ones.
 
     Raises
     ------
@@ -330,9 +329,9 @@ def _with_roles(
            (('tool_pose', tool), ('package_pose', package)) if guess},
         **({'topics.tool_twist': ''} if twist is None or in_degrees else
            {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}),
-        **next(({'vacuum.signal': signal} for signal, (kind, parameter) in SIGNALS.items()
+        **next(({'vacuum.signal': signal} for signal, (kind, name) in SIGNALS.items()
                 for topic in described if topic.type_name == kind
-                and is_named(topic.name, str(PARAMETERS[parameter].default))), {})}
+                and is_named(topic.name, name)), {})}
     used = {guess.topic for guess in (tool, package, twist) if guess}
     findings = [Finding('unusable_topic', Level.WARN, {'problem': topic.problem}, topic.name)
                 for topic in described if topic.problem]

@@ -32,6 +32,7 @@ from bellows_ros.core.planning.points import (
     timed,
 )
 from bellows_ros.core.recording import alignment, preparation
+from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals import resampling, savgol, trajectory
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
@@ -584,7 +585,7 @@ def _with_rates(
     rate = resampling.timing(poses.stamps_ns)
     half_window = max(4, round(preparation.AUTOMATIC_HALF_WINDOW * rate.rate_hz))
     grid = resampling.on_grid(poses, rate)
-    smooth = savgol.savgol(grid, half_window, values.filter.tool.order)
+    smooth = savgol.savgol(grid, half_window, PrepareSettings.tool_order)
     return smooth, smooth.twist, 'tool'
 
 

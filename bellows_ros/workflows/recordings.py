@@ -110,7 +110,7 @@ def load(
 def tag_sought(values: Values) -> detections.TagSought:
     """Return the tag on the package of which corners are read."""
     given = values.measured
-    return detections.TagSought(given.tag_size, given.tag_id, given.child_frame, given.rectified)
+    return detections.TagSought(given.tag_size, given.child_frame, given.rectified)
 
 
 def interval_masks(all_stamps: Sequence[Stamps], values: Mapping[str, Any]) -> list[Mask]:
@@ -416,9 +416,5 @@ def prepare_settings(values: Values) -> PrepareSettings:
         rest_duration=values.recording.rest_duration,
         payload=conversion.package_of(values),
         gravity=values.gravity.magnitude,
-        tool_half_window=values.filter.tool.half_window,
-        tool_order=values.filter.tool.order,
-        package_half_window=values.filter.package.half_window,
-        package_order=values.filter.package.order,
         tool_twist_frame=values.tool_twist.frame,
         tag=conversion.tag_of(values))

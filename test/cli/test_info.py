@@ -51,10 +51,10 @@ def test_a_parameter_of_its_advice_may_be_set(bellows, succeed, tmp_path):
     recorded(path, detections(views()[2] * 900.0 + 600.0, (3, 7)), calibration('plumb_bob', ()))
     assert '/detections cannot be used' in bellows('info', path).stdout
     (tmp_path / 'size.yaml').write_text('measured.tag_size: 0.06')
-    done = succeed('info', path, '--params', tmp_path / 'size.yaml', '--set', 'measured.tag_id=7',
-                   '--write-params', file)
+    done = succeed('info', path, '--params', tmp_path / 'size.yaml', '--set',
+                   'measured.child_frame=36h11:7', '--write-params', file)
     assert 'cannot be used' not in done.stdout
-    assert read_parameters(file)['measured.tag_id'] == 7
+    assert read_parameters(file)['measured.child_frame'] == '36h11:7'
 
 
 def test_a_part_of_a_recording_is_looked_at(succeed, workshop, tmp_path):

@@ -9,10 +9,9 @@ from bellows_ros.files.parameter_files import read_parameters
 
 def test_names_choose(bellows):
     """Show only those whose names begin as asked for."""
-    done = bellows('parameters', 'filter.tool', 'gravity')
+    done = bellows('parameters', 'vacuum.t', 'gravity')
     names = [line for line in done.stdout.splitlines() if not line.startswith(' ')]
-    assert names == [
-        'filter.tool.half_window', 'filter.tool.order', 'gravity.magnitude', 'gravity.direction']
+    assert names == ['gravity.magnitude', 'gravity.direction', 'vacuum.thresholds']
 
 
 def test_the_template_is_a_parameter_file_to_fill_in(bellows, tmp_path):

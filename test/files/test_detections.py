@@ -146,13 +146,14 @@ def refusal(path, tag=TAG):
     return str(read_contents(path, {'package_pose': '/detections'}, tag).problems['package_pose'])
 
 
-def test_several_tags_are_listed_and_one_is_chosen_by_its_number(tmp_path):
+def test_several_tags_are_listed_and_one_is_chosen_by_its_name(tmp_path):
     pixels = views()[2] * 900.0 + 600.0
     path = recorded(tmp_path / 'b', detections(pixels, (3, 7)), calibration('plumb_bob', ()))
     assert '36h11:3 (40 views), 36h11:7 (40 views)' in refusal(path)
-    assert 'measured.tag_id' in refusal(path) and 'no tag 5' in refusal(path, TagSought(SIDE, 5))
-    assert read_views(path, 'detections', TagSought(number=7)).tag == '36h11:7'
-    assert 'measured.tag_size' in refusal(path, TagSought(0.0, 7))
+    assert 'measured.child_frame' in refusal(path)
+    assert 'no tag 36h11:5' in refusal(path, TagSought(SIDE, '36h11:5'))
+    assert read_views(path, 'detections', TagSought(child_frame='36h11:7')).tag == '36h11:7'
+    assert 'measured.tag_size' in refusal(path, TagSought(0.0, '36h11:7'))
 
 
 @pytest.mark.parametrize('family, number, hamming, every, is_false', [
@@ -240,7 +241,7 @@ def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     assert_allclose(position[:5], views()[0][:5], atol=1e-5)
     both = detections(pixels, (3, 7))[0]
     assert live.pose(both, SIDE) == live.pose(arrays[0], SIDE) == 'tag_several'
-    assert_allclose(live.pose(both, SIDE, 7)[0], position[0])
+    assert_allclose(live.pose(both, SIDE, '36h11:7')[0], position[0])
     with pytest.raises(BellowsError, match='fisheye'):
         live.calibrate(calibration('fisheye', (0.1,)), is_rectified=False)
 
@@ -261,7 +262,7 @@ def test_hostile_corners_and_cameras_neither_raise_nor_grow(model, coefficients)
         corners[trial % 4] *= (1.0, np.inf, np.nan)[trial % 3]
         array = detections(corners[None], (trial,))[0]
         array.header.frame_id = info.header.frame_id
-        seen = camera.pose(array, SIDE, trial)
+        seen = camera.pose(array, SIDE, f'36h11:{trial}')
         assert seen == 'tag_no_pose' or np.isfinite(seen[0]).all()
     assert len(camera._views) <= RECENT and len(camera._cameras) <= MAX_KEPT
 

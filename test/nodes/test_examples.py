@@ -22,7 +22,7 @@ HEAVIER = 1.15
 """Mass of the package over that of the parameters."""
 GRIPPER = {'gripper_mass': 1.5, 'gripper_com': [0.0, 0.0, 0.04], 'lip_distance': 0.0981}
 VALUES = {
-    **PACKAGE, 'payload.estimate': True, 'coast.limit': 0.0,
+    **PACKAGE, 'payload.estimate': True,
     'measured.camera_std': [0.0, 0.0], 'measured.marker_std': [0.0, 0.0],
     'measured.noise': [1e-4, 1e-3], 'cup.stiffness_std': [1e-3] * 36}
 

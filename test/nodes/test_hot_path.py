@@ -38,7 +38,7 @@ VALUES = {
     **PACKAGE, 'cup.lip_radius': 0.02, 'vacuum.holding': 60000.0,
     'package.size': [0.1, 0.1, 0.1], 'landing.height': -1.0,
     'payload.estimate': True, 'vacuum.signal': 'pressure', 'tool_link': 'tool',
-    'cup.stiffness_std': [100.0] * 36, 'cup.damping_std': [1.0] * 36, 'coast.limit': 0.2,
+    'cup.stiffness_std': [100.0] * 36, 'cup.damping_std': [1.0] * 36,
 }
 STEP_NS = 2_000_000
 

@@ -63,7 +63,7 @@ def test_no_parameter_changes_if_one_is_rejected(stiffness, damping, named, orde
 
 def test_values_are_used_at_once_and_doubts_are_logged(node, caller, capfd):
     """Both ends of a range in one call; nothing anew for dumped values; a cup opened, closed."""
-    assert caller.set_at_once(vacuum__attach_below=96e3, vacuum__detach_above=98e3)[0]
+    assert caller.set_at_once(vacuum__thresholds=[96e3, 98e3])[0]
     assert caller.set_at_once(package__mass=3.0, package__com=[0.0, 0.0, 0.03])[0]
     assert node.pipeline.live.model[1][:2] == (3.0, (0.0, 0.0, 0.03))
     log = capfd.readouterr().err

@@ -27,8 +27,7 @@ from ..core.planning.arms import UR5E, UR5E_START
 from ..core.plans import CUP, GRIP, Move, PACKAGE
 
 VALUES = plans.VALUES.replaced({
-    'cup.lip_radius': 0.02, 'vacuum.holding': 60e3, 'tool_twist.frame': 'tool',
-    'coast.limit': 0.0})
+    'cup.lip_radius': 0.02, 'vacuum.holding': 60e3, 'tool_twist.frame': 'tool'})
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 MOVE = Move([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
 ARM = read_arm(UR5E, 'tool')

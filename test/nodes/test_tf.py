@@ -61,8 +61,7 @@ def apriltag_msgs(build, monkeypatch):
 
 def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
     """Send the transform from the tool's frame to the package's for every prediction."""
-    partner = make_partner({**PACKAGE, 'frames.package': 'box', 'coast.limit': 0.0},
-                           with_twists=False)
+    partner = make_partner({**PACKAGE, 'frames.package': 'box'}, with_twists=False)
     got = partner.hears(tf2_msgs.TFMessage, '/tf')
     partner.connect()
     partner.wait(lambda: partner.predictor.pipeline.outputs._tf.subscribed)

@@ -256,7 +256,7 @@ def test_only_the_holds_of_a_recording_of_work_are_fitted(root, tmp_path, method
     parts = load(tmp_path / 'work', resolve(given), held=True).segments
     assert len(parts) == 2 and all(
         held(np.array([part.first_ns, part.last_ns])).all() for part in parts)
-    renamed = resolve({**given, 'topics.held': 'gripper/grasped'})
+    renamed = resolve({**given, 'topics.vacuum': 'gripper/grasped'})
     with pytest.raises(BellowsError, match='on gripper/grasped; it has: /vacuum/held. Set topics'):
         load(tmp_path / 'work', renamed, held=True)
     streams['tool_pose'] = replace(tool, stamps_ns=tool.stamps_ns - tool.stamps_ns[0])

@@ -235,8 +235,8 @@ class Vacuum:
         if cup >= cups > 1:
             return 'no_such_cup'
         was_held = self.held if cup == ALL else cup in self.of_cups
-        is_held = bool(pressure <= values.vacuum.detach_above if was_held
-                       else pressure < values.vacuum.attach_below)
+        held_below, released_above = values.vacuum.thresholds
+        is_held = bool(pressure <= released_above if was_held else pressure < held_below)
         if cup == ALL:
             self.held, self.pressure = is_held, pressure
             return ((is_held, ALL),)
@@ -255,7 +255,7 @@ class Vacuum:
         """Return the reason for the rejection of a pressure, or ''; store a wrong unit."""
         reason = why_no_pressure(pressure)
         if reason in ('', 'nan'):
-            if not reason and self.fault and pressure > values.vacuum.detach_above:
+            if not reason and self.fault and pressure > values.vacuum.thresholds[1]:
                 self.fault = ''
             self._impossible = self._impossible if reason or self.fault else 0
             return reason or self.fault
@@ -282,11 +282,11 @@ def check_live(values: Values) -> None:
         If values are inconsistent, or a prediction cannot be computed.
 
     """
-    low, high = values.vacuum.attach_below, values.vacuum.detach_above
+    low, high = values.vacuum.thresholds
     if low > high:
         raise BellowsError(
-            f'vacuum.attach_below is {low:g} Pa, above vacuum.detach_above, {high:g} Pa. The '
-            'pressure falls when a package is picked up, so attach_below must be the lower one.')
+            f'vacuum.thresholds are {low:g} and {high:g} Pa; expected the lower one first, as the '
+            'pressure falls when a package is picked up.')
     if values.recording.package_world == ESTIMATE:
         raise BellowsError(
             f'recording.package_world: {ESTIMATE} is for recordings only. Give the node its '

@@ -112,7 +112,7 @@ class Cup:
                 f'stiffness, got {list(r)}. Without relaxation they are [0, 0].')
         if len(tau) != 2 or not 0.0 < tau[0] < tau[1] < np.inf:
             raise BellowsError(
-                'cup.relaxation_times must be two times above 0 s, the shorter one first, got '
+                'relaxation_times must be two times above 0 s, the shorter one first, got '
                 f'{list(tau)}. Leave them at {list(structure.RELAXATION_TIMES)}: cup.relaxation '
                 'is identified with these.')
         a, b = frozen_array(self.stretch, (2,), 'two coefficients of cup.stretch').tolist()

@@ -190,8 +190,7 @@ class Correction:
         self._walk = np.square(states.each_row('walk', stated))
         self._sag = sag(model)
         self._marker, self.false_per_hour = marker, values.alarm.false_per_hour
-        noise = values.tool_noise.position, values.tool_noise.rotation
-        self._tool_noise = np.repeat(np.maximum(noise, LEAST_TOOL_NOISE), 3)
+        self._tool_noise = np.repeat(np.maximum(values.tool_noise, LEAST_TOOL_NOISE), 3)
 
     def _by_support(self, body: State) -> Array:
         """

@@ -91,7 +91,7 @@ class Observer:
     Parameters
     ----------
     values : mapping
-        Parameters by name: measured.*, payload.*, package.*_std, cup.*_std, tool_noise.*.
+        Parameters by name: measured.*, payload.*, package.*_std, cup.*_std, tool_noise.
 
     Attributes
     ----------

@@ -107,13 +107,6 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
     require(given, required)
     filled = {**{name: p.default for name, p in table.PARAMETERS.items()}, **given}
     resolved = Values({name: value for name, value in filled.items() if value is not None})
-    for body in ('filter.tool', 'filter.package'):
-        half_window, order = resolved[f'{body}.half_window'], resolved[f'{body}.order']
-        if isinstance(half_window, int) and isinstance(order, int) and 0 < 2 * half_window < order:
-            raise BellowsError(
-                f'{body}.order is {order}, but a window of {2 * half_window + 1} samples '
-                f'({body}.half_window {half_window}) determines at most order {2 * half_window}. '
-                'Widen the window or lower the order.')
     holding = resolved['vacuum.holding']
     if isinstance(holding, float) and 0.0 < holding < MIN_VACUUM:
         _, unit, pascals = next(of for of in VACUUM_UNITS if holding < of[0])

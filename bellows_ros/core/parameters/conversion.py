@@ -51,7 +51,6 @@ def one_cup_of(values: Values) -> Cup:
         stiffness, structure.matrix(values.cup.damping),
         length=values.cup.length,
         relaxation=values.get('cup.relaxation', (0.0, 0.0)),
-        relaxation_times=values.get('cup.relaxation_times', structure.RELAXATION_TIMES),
         stretch=(a, b))
 
 

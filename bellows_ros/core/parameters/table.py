@@ -138,7 +138,6 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
     'cup.length': {'default': structure.THESIS_LENGTH},
     'cup.stiffness': {'default': _diagonal(structure.THESIS_STIFFNESS)},
     'cup.damping': {'default': _diagonal(structure.THESIS_DAMPING)},
-    'cup.relaxation_times': {'default': structure.RELAXATION_TIMES},
     'release.correlation': {'default': _diagonal((1.0,) * 6)},
     'fit.structure': {
         'choices': structure.STRUCTURE_NAMES,

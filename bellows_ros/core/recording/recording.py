@@ -312,7 +312,7 @@ class PrepareSettings:
     gravity : float
         Magnitude of gravity along -z of the levelled world, gravity.magnitude, m/s^2.
     tool_half_window, tool_order, package_half_window, package_order : int
-        Parameters filter.tool.half_window and so on; a half window of 0 is chosen from the rate.
+        Filters of the poses; a half window of 0 is chosen from the rate.
     tool_twist_frame : str
         Axes of a recorded tool twist, 'world' or 'tool' (tool_twist.frame); its linear part is the
         velocity of the tool tip.

@@ -36,9 +36,6 @@ LEAST_AREA = 1e-8
 MAX_DIRECTION = 100.0
 """Largest coordinate X/Z or Y/Z that a camera sees: 89.4 degrees from its axis."""
 
-ANY = -1
-"""Number that stands for the only tag."""
-
 MAX_KEPT = 8
 """Largest number of cameras, and of tags of one view, that a live input stores."""
 
@@ -123,7 +120,7 @@ class TagCamera:
                 del self._cameras[next(iter(self._cameras))]
 
     def pose(
-        self, array: Any, side: float, number: int = ANY, name: str = ''
+        self, array: Any, side: float, name: str = ''
     ) -> tuple[Array, Array] | str:
         """
         Return position (3,) and rotation (3, 3) of a tag with a side (m) in the camera.
@@ -131,9 +128,9 @@ class TagCamera:
         Without a pose, the result is the reason as a string, '' if the tag is not visible.
         """
         now = tags_in(array)
-        if sought := sorted(tags_of([now], number, name)):
+        if sought := sorted(tags_of([now], name)):
             self._views.append(sought[:MAX_KEPT])
-        tags = tags_of(self._views, number, name)
+        tags = tags_of(self._views, name)
         if len(tags) > 1:
             return 'tag_several'
         seen = [corners for tag in tags for corners in now.get(tag, ())]
@@ -180,10 +177,9 @@ def tags_in(array: Any) -> dict[str, list[list[tuple[float, float]]]]:
     return tags
 
 
-def tags_of(views: Iterable[Collection[str]], number: int = ANY, name: str = '') -> dict[str, int]:
-    """Return the tags of a number and a name, if given, with their views; without false ones."""
-    counts = Counter(tag for view in views for tag in view if name in ('', tag)
-                     and (number == ANY or tag.endswith(f':{number}')))
+def tags_of(views: Iterable[Collection[str]], name: str = '') -> dict[str, int]:
+    """Return the tags, or one by family and number, with their views; without false ones."""
+    counts = Counter(tag for view in views for tag in view if name in ('', tag))
     least = MIN_SHARE * max(counts.values(), default=0)
     return {tag: count for tag, count in counts.items() if count >= least}
 

@@ -23,13 +23,13 @@ PACKAGE = {
 
 def test_pressure_switch_has_hysteresis():
     update = partial(
-        Vacuum().update, resolve({'vacuum.attach_below': 60e3, 'vacuum.detach_above': 80e3}))
+        Vacuum().update, resolve({'vacuum.thresholds': (60e3, 80e3)}))
     held = [update(pressure, 'cup_7') for pressure in (
         101e3, 70e3, 59e3, 70e3, 79e3, 81e3, 70e3)]
     assert held == [((each, ALL),) for each in (False, False, True, True, True, False, False)]
     assert update(math.nan, '') == 'nan'
     with pytest.raises(BellowsError):
-        vacuum.check_live(Values({'vacuum.attach_below': 2.0, 'vacuum.detach_above': 1.0}))
+        vacuum.check_live(Values({'vacuum.thresholds': (2.0, 1.0)}))
 
 
 def test_vacuum_of_each_cup():

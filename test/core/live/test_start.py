@@ -12,7 +12,7 @@ import pytest
 from ..cases import MS, PLATE, START, UPRIGHT
 
 STATED = resolve({
-    'tool_noise.position': 1e-4, 'tool_noise.rotation': 5e-4, 'package.mass': PLATE.mass})
+    'tool_noise': (1e-4, 5e-4), 'package.mass': PLATE.mass})
 NOISE = 1e-4
 SOON_NS = 60 * MS
 """Within so long of a clean stream, or a few poses, it predicts again."""

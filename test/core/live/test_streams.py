@@ -1,4 +1,4 @@
-"""One rule of stamps for each input stream: a wrong stamp is refused and counted, and stops none."""
+"""A wrong stamp is refused and counted in each input stream, and stops none of them."""
 
 from bellows_ros.core.live import LivePredictor
 import pytest

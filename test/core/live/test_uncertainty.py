@@ -28,7 +28,7 @@ def values(position=0.0, rotation=0.0, cup=THESIS):
     return resolve({
         'cup.stiffness_std': np.diag(0.1 * np.diag(cup.stiffness)).ravel().tolist(),
         'cup.damping_std': np.diag(0.2 * np.diag(cup.damping)).ravel().tolist(),
-        'tool_noise.rotation': rotation, 'tool_noise.position': position,
+        'tool_noise': (position, rotation),
         'package.mass': 2.17, 'package.mass_std': 0.04, 'package.com_std': [2e-3] * 3})
 
 

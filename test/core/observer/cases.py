@@ -21,7 +21,7 @@ NOISE = np.repeat([2e-3, 1e-2], 3)
 SETTINGS = {
     'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
     'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
-    'tool_noise.position': 2e-5, 'tool_noise.rotation': 1e-4,
+    'tool_noise': (2e-5, 1e-4),
     'measured.camera_std': [0.0, 0.0], 'measured.marker_std': [0.0, 0.0],
     'measured.latency_std': 0.0, 'payload.estimate': False,
     'cup.stiffness_std': (1e-9 * np.eye(6)).ravel().tolist(),

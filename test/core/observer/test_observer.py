@@ -182,7 +182,7 @@ def test_error_agrees_with_the_covariance(runs, tool_noise):
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         stamps, tool = tool_motion(rng, 0.4)
-        made = observer(tool_noise__position=tool_noise[0], tool_noise__rotation=tool_noise[1])
+        made = observer(tool_noise=tool_noise)
         made._known.memory[SHARE] = 0.0  # the model is exact
         made.start(int(stamps[0]), tool[0], truth(tool[:1])[0])
         std = np.sqrt(np.diag(made.estimate.covariance))

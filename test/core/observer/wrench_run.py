@@ -95,7 +95,7 @@ def simulated(
         'cup.stiffness': CUP.stiffness.ravel().tolist(), 'cup.length': CUP.length,
         'cup.damping': CUP.damping.ravel().tolist(),
         'cup.stiffness_std': (OFF['stiffness'] * np.diag(np.diag(CUP.stiffness))).ravel().tolist(),
-        'tool_noise.position': 2e-5, 'tool_noise.rotation': 5e-5,
+        'tool_noise': (2e-5, 5e-5),
         'measured.camera_std': [0.0, 0.0], 'measured.marker_std': [0.0, 0.0],
         'measured.latency_std': 0.0}, package.mass)
 

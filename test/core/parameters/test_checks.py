@@ -64,7 +64,6 @@ def test_resolve_fills_in_defaults_but_not_the_package():
     values = checks.resolve({'gravity.magnitude': 9})
     assert values['gravity.magnitude'] == 9.0
     assert isinstance(values['gravity.magnitude'], float)
-    assert values['filter.tool.half_window'] == 0
     assert not set(checks.RECORDING_PARAMETERS) & set(values)
     known = {**PACKAGE, 'recording.package_frame': 'lip'}
     assert set(checks.resolve(known, checks.RECORDING_PARAMETERS)) == set(PARAMETERS)
@@ -103,7 +102,7 @@ def test_an_unknown_name_is_shown_shortened_and_printable():
     ('package.mass', 2, 2.0), ('package.mass', np.float32(2.5), 2.5),
     ('package.com', np.array([0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
     ('package.com', array('d', [0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
-    ('filter.tool.order', np.int32(3), 3), ('recording.align_at_rest', True, True),
+    ('recording.align_at_rest', True, True),
     ('bags', ['a', 'b'], ('a', 'b')), ('topics.tool_twist', '', '')])
 def test_values_are_brought_to_their_normal_form(name, value, normal):
     result = checks.validate(name, value)
@@ -120,7 +119,6 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
     ('gravity.magnitude', -9.81, r'\b0 '), ('gravity.direction', [0.0, 0.0, 0.0], ''),
     ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
     ('release.mass_range', [5e-324, 1.0], '1e-06'),
-    ('filter.tool.half_window', 25.0, '25.0'), ('filter.tool.order', 1, r'\b2 '),
     ('recording.align_at_rest', 1, 'true or false'),
     ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', ''),
     ('topics.tool_pose', 'a\nb', ''), ('bags', ['a', ''], 'index 1')])
@@ -161,14 +159,6 @@ def test_inertia_of_any_body_is_taken(points):
     values = [xx, yy, zz, xy, xz, yz]
     assert checks.validate('package.inertia', values) == tuple(values)
     assert_array_equal(inertia_matrix(values), moments)
-
-
-def test_the_filter_needs_enough_samples_for_its_order():
-    assert checks.resolve({'filter.tool.half_window': 2, 'filter.tool.order': 4})
-    with pytest.raises(BellowsError, match=r'filter\.tool\.order.*5'):
-        checks.resolve({'filter.tool.half_window': 2, 'filter.tool.order': 5})
-    with pytest.raises(BellowsError, match=r'filter\.package\.order.*6'):
-        checks.resolve({'filter.package.half_window': 1})
 
 
 @pytest.mark.parametrize('holding', [0.6, 60.0, 600.0])

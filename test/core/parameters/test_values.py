@@ -28,5 +28,5 @@ def test_a_parameter_without_a_value_names_itself():
 
 def test_values_reach_other_processes():
     copy = pickle.loads(pickle.dumps(VALUES))
-    assert copy == VALUES and copy.filter.tool.order == VALUES.filter.tool.order
+    assert copy == VALUES and copy.cups.soft.length == VALUES.cups.soft.length
     assert isinstance(copy, Values)
