@@ -631,7 +631,7 @@ def write_prediction(
     joints = []
     if source.joints is not None:
         motion = source.joints.along(tool, source.tool)
-        joints.append(('/tool_arm/plan_joints', plans.JOINTS, plan_messages.encode_joints(
+        joints.append(('/tool_arm/plan_joints', plan_messages.JOINTS, plan_messages.encode_joints(
             0, frame, source.joints.arm.moving, motion)))
     bag_writer.write_bag(path, [
         *(bag_writer.Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (

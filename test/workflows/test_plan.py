@@ -16,11 +16,12 @@ from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,
     encode_path,
+    JOINTS,
     MULTI_DOF,
     PATH,
     PlanMessage,
 )
-from bellows_ros.files.plans import DESCRIPTION, JOINTS, STATES
+from bellows_ros.files.plans import DESCRIPTION, STATES
 from bellows_ros.workflows.plan import (
     plan,
     plan_with_cup,
