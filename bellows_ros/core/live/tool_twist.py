@@ -19,7 +19,7 @@ from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.tool_screening import TwistSample
-from bellows_ros.core.model.kernels import State
+from bellows_ros.core.model.kernels import extrapolated, State
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -222,6 +222,13 @@ FORGETTING = 0.98
 MAX_MISFIT = 0.25
 """Largest fraction of the mean square of correct twists that poses do not explain."""
 
+LAG_RANGE = 1e-3, 2e-2
+"""Range of the corrected lag of the poses behind their twists, s: above the error of slopes, and
+below a swing of the cup."""
+
+LAG_DEVIATIONS = 5.0
+"""Smallest significant lag, standard deviations: 1 in 1.7 million."""
+
 MAX_JERK = 5e3
 """Largest jerk of an arm, m/s^3."""
 
@@ -242,18 +249,30 @@ def squared(v: Vector, w: Vector) -> float:
 
 
 @entry
-def misfit(tool: State, v: Vector, w: Vector) -> tuple[float, float]:
-    """Return the squares of an estimated body twist, and of a measured twist's deviation."""
-    return squared(v, w), squared(t3.subtract(tool[2], v), t3.subtract(tool[3], w))
+def misfit(
+    tool: State, later: State, seconds: float, v: Vector, w: Vector
+) -> tuple[float, float, float, float, float]:
+    """
+    Compare a measured body twist with the slopes v, w of the poses.
+
+    The results are the squares of the slopes and of the deviation, and for the velocity the square
+    of the acceleration until a later twist, its product with the deviation, and the square of the
+    deviation. Poses that lag by T deviate by T times the acceleration.
+    """
+    d, a = t3.subtract(tool[2], v), t3.scale(1.0 / seconds, t3.subtract(later[2], tool[2]))
+    return (squared(v, w), squared(d, t3.subtract(tool[3], w)), t3.dot(a, a), t3.dot(a, d),
+            t3.dot(d, d))
 
 
 @entry
 def with_measured_twist(
     before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
-    seconds: float,
+    seconds: float, lag: float,
 ) -> tuple[State, float]:
     """
     Return the tool with a measured twist, and its deviation from the twists' integral.
+
+    A pose that lags (s) behind its twist is extrapolated by the twist.
 
     The deviation is relative to the largest possible deviation of an arm: the shift between two
     poses differs from the mean velocity times the time by at most j t^3 / 12, with the largest
@@ -263,6 +282,9 @@ def with_measured_twist(
     v, w = linear, angular
     if in_world:
         v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
+    if lag > 0.0:
+        ahead = extrapolated((o, q, v, w), lag)
+        o, q = ahead[0], ahead[1]
     mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R, v)))
     shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
     rotation = t3.rotation_between(before[1], q)
@@ -277,7 +299,8 @@ class ToolMotion:
     Motion of E from messages of its pose and twist, or of another frame of the tool.
 
     A missing twist is the slope of a quadratic, fitted by least squares to the last positions and
-    rotation vectors. Measured twists are regularly compared with such slopes.
+    rotation vectors. Measured twists are regularly compared with such slopes; poses whose slopes
+    lag behind the twists are extrapolated.
 
     Parameters
     ----------
@@ -304,7 +327,7 @@ class ToolMotion:
         self._count = self._origin_ns = self._compared = 0
         self._recent.clear()
         self._due_ns = -1
-        self._squares = 0.0, 0.0  # see `misfit`
+        self._squares, self._products, self._lag = (0.0, 0.0), np.zeros(3), 0.0  # see `misfit`
 
     def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
         """Return the pose of E in the world from the pose of the frame, m."""
@@ -333,15 +356,30 @@ class ToolMotion:
         if self._tip is not None:
             twist = _at_tip(twist, *self._tip, q, self._in_world)
         now, excess = with_measured_twist(
-            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds)
+            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds,
+            self._lag)
         self._recent.append(now)
         if len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
             self._due_ns = pose.stamp_ns + PERIOD_NS
-            energy, deviation = misfit(self._recent[0], *self.state(LATER_POSES)[2:4])
+            span = self._rows[self._count - 1][0] - self._rows[self._count - 1 - LATER_POSES][0]
+            energy, deviation, *products = misfit(
+                self._recent[0], now, span, *self.state(LATER_POSES)[2:4])
             self._squares = (FORGETTING * self._squares[0] + energy,
                              FORGETTING * self._squares[1] + deviation)
             self._compared += 1
+            self._products += products
+            self._follow_lag()
         return now, excess
+
+    def _follow_lag(self) -> None:
+        """Approach the lag of the poses behind the twists, if it is significant."""
+        aa, ad, dd = self._products.tolist()
+        found = ad / max(aa, 1e-12)
+        std = math.sqrt(max(dd - found * ad, 0.0) / (3.0 * self._compared * max(aa, 1e-12)))
+        is_late = self.verdict == 'fits' and (
+            max(LAG_RANGE[0], LAG_DEVIATIONS * std) < found < LAG_RANGE[1])
+        step = 0.01 * PERIOD_NS / NS_PER_S  # 1 % of the speed
+        self._lag += min(max(found * is_late - self._lag, -step), step)
 
     def estimated(self, has_before: bool) -> tuple[State | None, State]:
         """Return E at the last two poses, or one, with twists estimated from poses alone."""
