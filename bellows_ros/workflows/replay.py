@@ -8,10 +8,10 @@ import time
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import result, samples
-from bellows_ros.core.identification.quantities import given_std
 from bellows_ros.core.identification.validation import (
     corner_scores,
     CornerScores,
@@ -50,13 +50,10 @@ from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import detections, File, results
 from bellows_ros.report import findings
 from bellows_ros.report.findings import text
-from bellows_ros.workflows import CommandResult, plan
+from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.holds import signals_of, spans_held
 from bellows_ros.workflows.recordings import checked, load, no_progress, Progress, tag_sought
 import numpy as np
-
-MAX_LISTED = 3
-"""Largest number of validity ranges named in a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,31 +87,6 @@ class Live(residuals.Comparison):
             'corners': self.corners}
 
 
-@dataclass(frozen=True, eq=False)
-class Margins:
-    """
-    Safety factors of a grip over time.
-
-    Parameters
-    ----------
-    seconds : array (N,)
-        Times from the recording's first stamp, s.
-    factors, std : array (N, 2)
-        Safety factors against peel and slip, and their standard deviations.
-    smallest : Margin
-        Smallest safety factor with its mode and time.
-    least : float
-        Required safety factor.
-
-    """
-
-    seconds: Array
-    factors: Array
-    std: Array
-    smallest: Margin
-    least: float
-
-
 class Observed(NamedTuple):
     """
     The recorded package and three estimates over a common time.
@@ -132,8 +104,8 @@ class Observed(NamedTuple):
         Alarms with their times, s from the first pose of the tool.
     payload : Payload or None
         Estimated mass and centre of mass, if payload.estimate is set.
-    warnings : tuple of str
-        Warnings on the kind of sensor.
+    findings : tuple of Finding
+        Findings on the kind of sensor.
     corners : mapping of str to CornerScores
         Errors in the corners of a tag without and with corrections; empty for a body.
 
@@ -144,7 +116,7 @@ class Observed(NamedTuple):
     counts: Mapping[str, int]
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     corners: Mapping[str, CornerScores | None] = MappingProxyType({})
 
     @property
@@ -219,8 +191,8 @@ class Replay(CommandResult):
         Prepared recording.
     validation : Validation
         Result of the free simulation.
-    warnings : tuple of str
-        Warnings about the recording, the simulation and the validity range.
+    findings : tuple of Finding
+        Findings on the simulation and the validity range.
     live : Live or None
         Result of the live predictor, None if not requested.
     observed : Observed or None
@@ -232,9 +204,14 @@ class Replay(CommandResult):
     values: Values
     recording: Recording
     validation: Validation
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     live: Live | None = None
     observed: Observed | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on the findings and on the recording."""
+        return (*findings.warnings(self.findings), *self.recording.report.warnings)
 
     @property
     def time_offset(self) -> TimeOffset | None:
@@ -254,32 +231,6 @@ class Replay(CommandResult):
         grip, factors = grip_of(self.values), self._factors
         return None if grip is None or factors is None else margin(
             grip, factors, self.recording.since_start(self.validation.tool.stamps_ns))
-
-    @property
-    def margins(self) -> 'Margins':
-        """
-        The safety factors of the grip in the free simulation, with their standard deviations.
-
-        Raises
-        ------
-        BellowsError
-            If the grip is unknown.
-
-        """
-        smallest, validation, factors = self.margin, self.validation, self._factors
-        if smallest is None or factors is None:
-            raise BellowsError(plan.NO_FACTOR)
-        std = list[Array]()
-        for run in validation.runs:
-            rests = run.start == 'equilibrium'
-            along = plan.curves(
-                self.values, validation.model, grip_of(self.values),
-                plan.from_rest(run.tool) if rests else run.tool, None if rests else run.state)
-            std.append(along.std[:, 4:6])
-        return Margins(
-            self.recording.since_start(validation.tool.stamps_ns),
-            np.minimum(factors[:, :2], plan.MAX_DRAWN_FACTOR), np.concatenate(std), smallest,
-            float(self.values.safety.least))
 
     @property
     def sentence(self) -> str:
@@ -354,7 +305,7 @@ def replay(
     own = values.replaced({name: PARAMETERS[name].default for name in (
         'measured.offset', 'measured.latency', 'measured.scale')}) if is_other else values
     recording, signals = load(bag, own), signals_of(bag, values)
-    rated, note = _held_part(bag, recording, own, signals) if signals else (recording, '')
+    rated, note = _held_part(bag, recording, own, signals) if signals else (recording, ())
     if is_other:
         recording, rated = (replace(each, settings=replace(each.settings, tag=None))
                             for each in (recording, rated))
@@ -367,25 +318,19 @@ def replay(
     camera = observed(
         bag, recording, sent, live, values, observe, signals) if sent else None
     progress('done', 1.0)
-    warnings = (note,) * bool(note) + _final_warnings(free, camera)
-    return replace(free, live=live, observed=camera, warnings=warnings)
+    return replace(free, live=live, observed=camera,
+                   findings=(*note, *_with_camera(free, camera)))
 
 
-def _final_warnings(free: Replay, camera: Observed | None) -> tuple[str, ...]:
-    """Return the warnings; findings of a camera replace the mean stretch as explanations."""
+def _with_camera(free: Replay, camera: Observed | None) -> tuple[Finding, ...]:
+    """Return the findings; those of a camera replace the mean stretch as explanation."""
     if camera is None:
-        return free.warnings
-    losses = [seconds for seconds, alarm in camera.alarms if alarm.kind == 'lost']
-    hint = _mass_hint(free.values, free.recording)
-    if not losses:
-        is_known = camera.alarms or free.values.payload.estimate
-        return (*(text for text in free.warnings if text not in hint or not is_known),
-                *camera.warnings)
-    return (
-        f'The package is lost {losses[0]:.2f} s after the first pose of the tool; errors after '
-        'that are not of the cup. Rate it with '
-        f'recording.end: {max(losses[0] - 0.5, 0.0):.1f}.',
-        *(warning for warning in free.warnings if warning not in hint), *camera.warnings)
+        return free.findings
+    lost = [Finding('lost_at', Level.WARN, {'time': seconds, 'end': max(seconds - 0.5, 0.0)})
+            for seconds, alarm in camera.alarms if alarm.kind == 'lost'][:1]
+    is_known = camera.alarms or free.values.payload.estimate
+    return (*lost, *(each for each in free.findings if not is_known
+                     or each.code != 'mean_stretch'), *camera.findings)
 
 
 def validated(values: Values, recording: Recording) -> Replay:
@@ -394,44 +339,36 @@ def validated(values: Values, recording: Recording) -> Replay:
         validation = validate(cup_of(values), recording)
         is_worse = bool(validation.worse_than_noise)
     except UnstableError as error:
-        raise UnstableError(' '.join([*_mass_hint(values, recording), str(error)])) from None
-    warnings = [
-        *recording.report.warnings, *validation.warnings]
+        raise UnstableError(' '.join([
+            *map(text, _stretch_findings(values, recording)), str(error)])) from None
+    found = [*validation.findings]
     valid = conversion.parameter_envelope(values)
     outside = validity_range.beyond(
         valid, samples.envelope_of(recording, values.cup.length)) if valid else []
     if outside:
-        more = f'; and {len(outside) - MAX_LISTED} more' if len(outside) > MAX_LISTED else ''
-        warnings.append(
-            'The recording leaves the validity range of the fit: '
-            f'{"; ".join(outside[:MAX_LISTED])}{more}. There the errors say little about the fit.')
+        found.append(Finding('left_range', Level.WARN, {'ranges': outside}))
     if is_worse:
-        warnings += _mass_hint(values, recording)
-    return Replay(recording.name, values, recording, validation, tuple(warnings))
+        found += _stretch_findings(values, recording)
+    return Replay(recording.name, values, recording, validation, tuple(found))
 
 
 STRETCH_RATIOS = (0.7, 1.4)
 """Range of the ratios of stretch that a wrong stiffness can explain."""
 
 
-def _mass_hint(values: Values, recording: Recording) -> tuple[str, ...]:
-    """Return a hint if the mean stretch of the cup indicates a wrong package.mass."""
+def _stretch_findings(values: Values, recording: Recording) -> list[Finding]:
+    """Return a finding if the mean stretch of the cup indicates a wrong package.mass."""
     relative = residuals.relative_coordinates(
         recording.measured_tool, recording.measured_package)[recording.measured]
     lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values.package.com)
     stretch = float(np.mean(-lip[:, 2])) - float(values.cup.length)
-    stiffness = cup_of(values).stiffness[2, 2]
-    gravity, stated = values.gravity.magnitude, values.package.mass
-    mass, std = stiffness * stretch / gravity, given_std(values)
-    off = stretch - stated * gravity / stiffness
+    compliance = values.gravity.magnitude / cup_of(values).stiffness[2, 2]
+    mass, stated = stretch / compliance, values.package.mass
     if not mass > 0.0 or STRETCH_RATIOS[0] < mass / stated < STRETCH_RATIOS[1]:
-        return ()
-    is_expected = abs(off) < 3.0 * np.hypot(values.cup.length_std, std['com'][2])
-    return (f'On average the cup is stretched by {1e3 * stretch:.2g} mm: ' + (
-        f'package.com or cup.length is off by {1e3 * abs(off):.2g} mm, or package.mass is '
-        f'{mass:.2g} kg instead of {stated:g}.' if is_expected else
-        f'package.mass is likely {mass:.2g} kg instead of {stated:g}, or package.com or '
-        'cup.length is wrong.'),)
+        return []
+    return [Finding('mean_stretch', Level.WARN, {
+        'stretch': stretch, 'mass': mass, 'stated': stated,
+        'off': abs(stretch - stated * compliance)})]
 
 
 def predicted_live(
@@ -585,16 +522,16 @@ def observed(
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload,
-        _sensor_sentences(stream, values.measured.tag_size > 0.0),
+        _sensor_findings(stream, values.measured.tag_size > 0.0),
         {'prediction alone': uncorrected.corners,
          'both': corner_scores(recording, corrected)} if recording.views else {})
 
 
-def _sensor_sentences(stream: PoseStream, is_tag: bool) -> tuple[str, ...]:
-    """Return the warning of measured poses that are stated as of a tag, or not as of one."""
+def _sensor_findings(stream: PoseStream, is_tag: bool) -> tuple[Finding, ...]:
+    """Return the finding on measured poses that are stated as of a tag, or not as of one."""
     body = stream.trajectory()
     outliers = find_outliers(body, LONGEST_GAP_NS)
-    return tuple(text(remark._replace(topic=stream.name)) for remark in sensor_remarks(
+    return tuple(remark._replace(topic=stream.name) for remark in sensor_remarks(
         body.select(outliers.good), timing(stream.stamps_ns).rate_hz,
         outliers.excursions / len(stream), is_tag, stream.corners is not None))
 
@@ -607,18 +544,18 @@ def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Arra
 
 def _held_part(
     bag: File, recording: Recording, values: Values, signals: Sequence[Signal]
-) -> tuple[Recording, str]:
+) -> tuple[Recording, tuple[Finding, ...]]:
     """Return the longest hold of a recording, if there are signals, with a note on it."""
     tool, spans = recording.tool_pose, spans_held(recording.tool_pose, signals, values)
     if not spans:
-        return recording, ''
+        return recording, ()
     first, last = max(spans, key=lambda span: span[1] - span[0])
     start, end = ((stamp_ns - int(tool.stamps_ns[0])) / NS_PER_S for stamp_ns in (first, last))
     part = load(bag, values.replaced({
         'recording.start': values.recording.start + start,
         'recording.end': values.recording.start + end}))
-    return part, (f'The package is held {len(spans)} times. The cup is rated in the longest hold, '
-                  f'from {start:.1f} to {end:.1f} s.')
+    return part, (Finding('longest_hold', Level.WARN, {
+        'count': len(spans), 'begin': start, 'end': end}),)
 
 
 def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:

@@ -150,15 +150,15 @@ class Validation(residuals.Comparison):
         Recording.
     runs : tuple of Run
         Simulations of the segments.
-    warnings : tuple of str
-        Warnings for the user.
+    findings : tuple of Finding
+        Gaps of the tool.
 
     """
 
     cup: Cup
     recording: Recording
     runs: tuple[Run, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     @cached_property
     def tool(self) -> Trajectory:
@@ -289,15 +289,15 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
                                int(np.searchsorted(poses.stamps_ns, last)) + 1))
     if max_samples is not None:
         poses = poses.select(slice(int(np.argmax(poses.valid)) + max_samples))
-    runs, warnings = list[Run](), list[str]()
+    runs, findings = list[Run](), list[Finding]()
     for part in _segments_of(poses, recording):
         run, more = _run(cup, recording, part, is_first=not runs)
         runs.append(run)
-        warnings += more
-    warnings += [
-        f'The tool is unknown for {(after - before) / NS_PER_S:.2f} s from '
-        f'{(before - recording.start_ns) / NS_PER_S:.2f} s on. The simulation begins anew '
-        'behind it, with the state that the poses there show.'
+        findings += more
+    findings += [
+        Finding('begins_anew', Level.WARN, {
+            'duration': (after - before) / NS_PER_S,
+            'begin': (before - recording.start_ns) / NS_PER_S})
         for before, after in ((int(one.tool.stamps_ns[-1]), int(other.tool.stamps_ns[0]))
                               for one, other in pairwise(runs))]
     compared = [_compared(recording, run, first, last) for run in runs]
@@ -305,7 +305,7 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
                                    for name in ('stamps_ns', 'measured', 'predicted'))
     return Validation(
         stamps, measured, predicted, residuals.score(measured, predicted), cup=cup,
-        recording=recording, runs=tuple(runs), warnings=tuple(warnings))
+        recording=recording, runs=tuple(runs), findings=tuple(findings))
 
 
 def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
@@ -320,8 +320,8 @@ def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
 
 def _run(
     cup: Cup, recording: Recording, poses: Trajectory, is_first: bool
-) -> tuple[Run, list[str]]:
-    """Return the free simulation of a segment, and warnings on its bridged gaps of the tool."""
+) -> tuple[Run, list[Finding]]:
+    """Return the free simulation of a segment, and findings on its bridged gaps of the tool."""
     payload, gravity = recording.payload, recording.settings.gravity
     tool, gaps = recording.cached(
         ('smoothed', int(poses.stamps_ns[0]), len(poses)),
@@ -333,8 +333,7 @@ def _run(
         state = _fitted_state(cup, recording, tool, state)
     moved = simulate(cup, payload, tool, state, gravity)
     return Run(tool, moved, state, start), [
-        f'The tool is unknown for {duration:.2f} s from {since:.2f} s on. The simulation '
-        'bridges this gap by interpolation, and its error is larger for a while afterwards.'
+        Finding('bridged', Level.WARN, {'duration': duration, 'begin': since})
         for since, duration in gaps.tolist() if duration > MAX_BRIDGE_TIME]
 
 

@@ -58,7 +58,7 @@ def test_the_true_cup_explains_a_noise_free_recording():
     found = validate(CUP, recording(noise=0.0))
     assert found.runs[0].start == 'equilibrium'
     assert np.all(found.scores.nrmse < 1e-4)
-    assert found.warnings == ()
+    assert found.findings == ()
 
 
 def test_noise_explains_the_error_of_the_true_cup(judged):
@@ -128,7 +128,7 @@ def test_a_long_gap_of_the_tool_is_reported():
         kept = np.ones(len(motion), dtype=bool)
         kept[1000:1000 + int(seconds * RATE)] = False
         found = validate(CUP, recording(kept=kept))
-        assert len(found.warnings) == count
+        assert len(found.findings) == count
         assert np.isfinite(found.predicted[np.isfinite(found.measured)]).all()
 
 
@@ -182,7 +182,7 @@ def test_the_true_cup_is_right_behind_gaps_of_either_body(tool_gaps, package_gap
     assert len(found.runs) == 1 + len(tool_gaps)
     assert found.worse_than_noise == ()
     assert np.all(found.scores.rms < 1.5 * found.noise)
-    assert sum('begins anew' in warning for warning in found.warnings) == len(tool_gaps)
+    assert sum(each.code == 'begins_anew' for each in found.findings) == len(tool_gaps)
     wrong = validate(Cup(0.8 * simulated.CUP.stiffness, simulated.CUP.damping,
                          simulated.CUP.length), recording)
     assert wrong.worse_than_noise
