@@ -354,12 +354,12 @@ class Identification(CommandResult):
             return ()
         is_explained = any(cause.certain for cause in causes) or self.verdict and (
             self.verdict.vibrations)
-        misfit = (self.fit.misfit,) if self.fit.misfit and not is_explained else ()
+        misfit = (text_of(self.fit.misfit),) if self.fit.misfit and not is_explained else ()
         if self.fit.usable and self.verdict and self.verdict.refusals:
             return misfit
         kept = [text_of(Finding('kept_given', Level.WARN, {'names': self._unknown}))] if (
             self._unknown and self.fit.usable) else []
-        return (*self.fit.warnings, *misfit, *kept)
+        return (*map(text_of, self.fit.findings), *misfit, *kept)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -11,13 +11,13 @@ bias.
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.information import inverted, with_unidentifiable
 from bellows_ros.core.identification.result import (
     Fit,
     MAX_NOISE_SHARE,
     MAX_RELATIVE_ERROR,
-    NOTES,
     remedy_for,
 )
 from bellows_ros.core.identification.samples import Samples
@@ -176,11 +176,13 @@ def _sizes_of_columns(normal: Array, structure: Structure) -> Array:
     return np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
 
 
-def _notes(structure: Structure, is_identifiable: Mask) -> Iterator[str]:
-    """Yield a sentence on each unidentifiable parameter, or one on all."""
+def _notes(structure: Structure, is_identifiable: Mask) -> Iterator[Finding]:
+    """Yield a finding on each unidentifiable parameter, or one on all."""
     if not is_identifiable.any():
-        yield NOTES['too_short']
+        yield Finding('too_short')
         return
     for label, is_known in zip(structure.labels, is_identifiable.tolist(), strict=True):
         if not is_known:
-            yield NOTES['unknown'].format(label=label, how=remedy_for(label, structure))
+            yield Finding('not_identifiable', Level.WARN, {
+                'label': label, 'why': 'its standard error is as large as itself, or larger',
+                'how': remedy_for(label, structure), 'given': ''})

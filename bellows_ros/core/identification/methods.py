@@ -6,12 +6,13 @@ from functools import partial
 import math
 from operator import getitem
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.identification import least_squares
 from bellows_ros.core.identification.causes import MARKERS
 from bellows_ros.core.identification.output_error import output_error
 from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.quantities import given_std, weak_prior
-from bellows_ros.core.identification.result import Fit, Freed, Iteration, NOTES
+from bellows_ros.core.identification.result import Fit, Freed, Iteration
 from bellows_ros.core.identification.samples import (
     AnyRecording,
     reduced,
@@ -100,7 +101,7 @@ def fit(
             reduced(recording, values.cup.length).time_offset for recording in recordings])
     if result.standstills and result.standstills[1] > MAX_MISFIT_TO_NOISE**2:
         result = replace(result, notes=(
-            *result.notes, NOTES['disagreement'].format(chi2=result.standstills[1])))
+            *result.notes, Finding('disagreement', Level.WARN, {'chi2': result.standstills[1]})))
     return result
 
 

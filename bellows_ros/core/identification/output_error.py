@@ -15,6 +15,7 @@ import math
 from operator import attrgetter
 from typing import Any, NamedTuple
 
+from bellows_ros.core import findings
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.identification.causes import is_explained, likeliest_setting, rank
 from bellows_ros.core.identification.estimate import (
@@ -43,7 +44,6 @@ from bellows_ros.core.identification.result import (
     Freed,
     Iteration,
     MAX_RELATIVE_ERROR,
-    NOTES,
     remedy_for,
 )
 from bellows_ros.core.identification.segments import (
@@ -186,6 +186,14 @@ def output_error(
     return _fit(found, iterations, named, given, reasons)
 
 
+NOT_RELAXING = (
+    'fit.relaxation: the recordings show no relaxation that exceeds its standard error. Hold a '
+    'tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
+NOT_STRETCHING = (
+    'fit.stretch: the recordings show no stretch that exceeds its standard error. Record two '
+    'masses that differ by a factor of two, or set fit.stretch: auto.')
+
+
 class Extension(NamedTuple):
     """
     An extension of the spring by free quantities or by a structure.
@@ -206,10 +214,10 @@ def _extensions(richer: Structure | None, stretch: str, relaxation: str) -> Iter
         yield Extension({}, richer, lambda end, _: has_coupling(end.cup.stiffness))
     if stretch != 'off':
         yield Extension(weak_prior(['stretch']), None, *(
-            (_is_passive, 'not_stretching') if stretch == 'on' else (_extrapolates,)))
+            (_is_passive, NOT_STRETCHING) if stretch == 'on' else (_extrapolates,)))
     if relaxation != 'off':
         yield Extension(weak_prior(['relaxation']), None, _explains_most,
-                        'not_relaxing' if relaxation == 'on' else '')
+                        NOT_RELAXING if relaxation == 'on' else '')
 
 
 def _extended(
@@ -220,7 +228,7 @@ def _extended(
         before = found
         found = _tried(found, extension, report)
         if extension.refusal and found is before:
-            raise UndeterminedError(NOTES[extension.refusal])
+            raise UndeterminedError(extension.refusal)
     return found
 
 
@@ -385,8 +393,8 @@ def _fit(
         weight=np.diag(1.0 / found.mean_square),
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes),
-        misfit=NOTES['too_large_chi2'].format(chi2=found.robust_chi2) if (
-            found.robust_chi2 > MAX_NOISE_CHI2) else '',
+        misfit=findings.Finding('misfit', findings.Level.WARN, {'chi2': found.robust_chi2}) if (
+            found.robust_chi2 > MAX_NOISE_CHI2) else None,
         chi2=found.squares / max(found.residual_count - len(x), 1),
         robust_chi2=found.robust_chi2 * max(found.learned, 1.0),
         converged=found.converged,
@@ -400,7 +408,7 @@ def _fit(
             np.diag(from_given), (0, problem.own.size)), named))
     if 'relaxation' in problem.places:
         fit = _relaxed(fit, found, covariance)
-    return fit if found.converged else replace(fit, notes=(NOTES['not_converged'],))
+    return fit if found.converged else replace(fit, notes=(findings.Finding('not_converged'),))
 
 
 def _of_quantities(
@@ -437,7 +445,7 @@ def _relaxed(fit: Fit, found: Solution, covariance: Array) -> Fit:
     is_assumed = np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]
     return replace(
         fit, relaxation=_pair(strengths), relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
-        notes=(*fit.notes, *[NOTES['r2_assumed']] * bool(is_assumed)))
+        notes=(*fit.notes, *[findings.Finding('r2_assumed')] * bool(is_assumed)))
 
 
 def _pair(values: Array) -> tuple[float, float]:
@@ -448,7 +456,7 @@ def _pair(values: Array) -> tuple[float, float]:
 
 def _identifiable(
     found: Solution, given: Free, named: Sequence[str]
-) -> tuple[Array, Array, Array, Mask, list[str]]:
+) -> tuple[Array, Array, Array, Mask, list[findings.Finding]]:
     """
     Return the covariances (s, s) by recordings alone and by given quantities.
 
@@ -480,24 +488,21 @@ def _identifiable(
 
 def _unidentifiable(
     problem: Problem, label: str, alone: float, total: float
-) -> str:
+) -> findings.Finding:
     """
-    Return a sentence on an unidentifiable number, with a remedy.
+    Return the finding on an unidentifiable number.
 
     Standard errors by the recordings alone and in total are relative to the largest of an
     identifiable number.
     """
-    error = MAX_RELATIVE_ERROR * alone
+    error, both = (100.0 * MAX_RELATIVE_ERROR * each for each in (alone, total))
+    why = f'its standard error is {both:.2g} % of its size, and {error:.2g} % due to noise alone'
     if total <= 1.0:
-        words = 'still'
-    elif alone <= 1.0:
-        words = 'vague'
-    else:
-        words = 'unknown' if error >= 1.0 else 'uncertain'  # limited by the prior
-    return NOTES[words].format(
-        label=label, how=remedy_for(label, problem.structure),
-        error=100.0 * error, total=100.0 * MAX_RELATIVE_ERROR * total, noise=100.0 / alone,
-        times=alone**2, one_cup=', or one of one cup alone' if problem.structure.places else '')
+        why = f'its damping is not, and its standard error of {error:.2g} % may be due to noise'
+    given = ', and measure package, cup.length and markers more exactly (package.com_std, ' \
+            'cup.length_std, recording.marker_std)' if alone <= 1.0 < total else ''
+    return findings.Finding('not_identifiable', findings.Level.WARN, {
+        'label': label, 'why': why, 'how': remedy_for(label, problem.structure), 'given': given})
 
 
 def registered(
@@ -523,4 +528,5 @@ def registered(
         return None
     names = ', '.join(free).replace('package_world', 'recording.package_world')
     raise UndeterminedError(
-        f'{names} cannot be found: the search did not converge. ' + NOTES['wrong_package'])
+        f'{names} cannot be found: the search did not converge. Check package.mass and '
+        'package.com, and tilt and turn the tool more.')

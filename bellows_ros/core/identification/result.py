@@ -8,28 +8,29 @@ and zero information.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
-import tomllib
 from typing import NamedTuple
 
+from bellows_ros.core import findings
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model.structure import ROUNDING, Structure, structure_named, STRUCTURES
 import numpy as np
 
-NOTE_TEXTS = tomllib.loads(Path(__file__).with_name('notes.toml').read_text())
-NOTES: Mapping[str, str] = NOTE_TEXTS['notes']
-"""Templates of messages about fits."""
-
-DIRECTIONS: Mapping[str, tuple[str, str]] = NOTE_TEXTS['directions']
-"""Motion in each direction, and its excitation."""
+EXCITATION: Mapping[str, str] = {
+    'x': 'Move the tool along x, or tilt it about y, at 1 to 3 Hz',
+    'y': 'Move the tool along y, or tilt it about x, at 1 to 3 Hz',
+    'z': 'Move the tool up and down at 4 to 6 Hz',
+    'rx': 'Tilt the tool about x, or move it along y, at 1 to 3 Hz',
+    'ry': 'Tilt the tool about y, or move it along x, at 1 to 3 Hz',
+    'rz': 'Turn the tool about z at 1 to 3 Hz'}
+"""Motion that makes the numbers of a direction identifiable."""
 
 
 def remedy_for(label: str, structure: Structure) -> str:
     """Return the remedy for an unidentifiable number, with regard to a gripper's other cups."""
     axis = label.split()[1]
     if structure.places and axis.startswith('r'):
-        return NOTES['of_one_cup']
-    return DIRECTIONS.get(axis, ('', 'move all axes at once'))[1]
+        return 'Identify one cup alone, as the other cups bear most of it'
+    return EXCITATION.get(axis, 'Move all axes at once')
 
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
@@ -152,9 +153,9 @@ class Fit:
     residual_rms : ndarray (6,)
         RMS of the residual wrench (N, N m) or pose (m, rad).
     notes : tuple of str
-        Warnings on the estimation, as sentences.
-    misfit : str
-        Sentence on a misfit of model and white noise, '' without.
+        Findings on the estimation.
+    misfit : Finding or None
+        Misfit of model and white noise.
     converged : bool
         Whether the search converged; if not, all standard errors are infinite.
     chi2, robust_chi2 : float or None
@@ -203,8 +204,8 @@ class Fit:
     condition_number: float
     weight: Array
     residual_rms: Array
-    notes: tuple[str, ...] = ()
-    misfit: str = ''
+    notes: tuple[findings.Finding, ...] = ()
+    misfit: findings.Finding | None = None
     converged: bool = True
     chi2: float | None = None
     robust_chi2: float | None = None
@@ -265,12 +266,12 @@ class Fit:
         return WRENCH_UNITS if self.method == 'least_squares' else POSE_UNITS
 
     @cached_property
-    def _indefinite(self) -> tuple[str, ...]:
-        return definiteness_warnings(self.stiffness, self.damping, self.structure)
+    def _indefinite(self) -> tuple[findings.Finding, ...]:
+        return definiteness_findings(self.stiffness, self.damping, self.structure)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences for the user."""
+    def findings(self) -> tuple[findings.Finding, ...]:
+        """Findings on the estimation."""
         return (*self._indefinite, *self.notes)
 
     @property
@@ -279,15 +280,18 @@ class Fit:
         return self.converged and not self._indefinite
 
 
-def definiteness_warnings(stiffness: Array, damping: Array, structure: str) -> tuple[str, ...]:
-    """Return a sentence, with a remedy, for each indefinite matrix."""
+def definiteness_findings(
+    stiffness: Array, damping: Array, structure: str
+) -> tuple[findings.Finding, ...]:
+    """Return a finding for each indefinite matrix."""
     simplest = next(iter(STRUCTURES.values()))
-    simpler = (f', or use fit.structure: {simplest.name}, which has fewer parameters'
+    simpler = (f', or set fit.structure: {simplest.name}'
                if structure_named(structure).size > simplest.size else '')
     smallest = [float(np.linalg.eigvalsh(matrix)[0]) for matrix in (stiffness, damping)]
     refused = (smallest[0] <= 0.0, smallest[1] < -ROUNDING * float(np.abs(damping).max()))
     return tuple(
-        NOTES['indefinite'].format(name=name, value=value, simpler=simpler)
+        findings.Finding('indefinite', findings.Level.WARN, {
+            'name': name, 'value': value, 'simpler': simpler})
         for name, value, is_refused in zip(
             ('stiffness K is not positive definite', 'damping P is not positive semidefinite'),
             smallest, refused, strict=True) if is_refused)

@@ -283,8 +283,8 @@ def test_what_is_not_known_with_what_was_given_is_no_number():
     found = output_error(
         [measured(9, tool_hz=125.0, **QUIET)], AXISYMMETRIC, TRUTH, given=vague)
     assert np.isinf(found.stiffness_std[np.diag_indices(6)]).all()
-    told = [text for text in found.notes if 'with the given uncertainties' in text]
-    assert len(told) == 8 and all('% with exact package' in text for text in told)
+    told = [each.numbers for each in found.notes if each.code == 'not_identifiable']
+    assert len(told) == 8 and all('package.com_std' in numbers['given'] for numbers in told)
 
 
 def test_a_given_quantity_and_its_estimate_are_weighted_by_their_precisions():

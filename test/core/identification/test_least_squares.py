@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.result import definiteness_warnings
+from bellows_ros.core.identification.result import definiteness_findings
 from bellows_ros.core.identification.samples import (
     lip_relative,
     needed_wrench,
@@ -54,7 +54,7 @@ def test_full_matrices_are_recovered_exactly_from_exact_accelerations(exact):
     assert_allclose(fit.stiffness, cup.stiffness, rtol=0, atol=1e-8 * cup.stiffness.max())
     assert_allclose(fit.damping, cup.damping, rtol=0, atol=1e-8 * cup.damping.max())
     assert fit.usable
-    assert fit.warnings == ()
+    assert fit.findings == ()
     assert fit.samples_used == len(samples.tool.stamps_ns)
     assert_allclose(fit.residual_rms, 0.0, atol=2e-6)  # a root of rounded squares
 
@@ -128,7 +128,7 @@ def test_one_window_gives_no_standard_error(round_cup):
     fit = simulated.least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
     assert np.all(np.isinf(np.diag(fit.covariance)))
     assert np.all(np.isinf(np.diag(fit.stiffness_std)))
-    assert any('too short' in warning for warning in fit.warnings)
+    assert [each.code for each in fit.notes] == ['too_short']
 
 
 def test_noise_of_motion_capture_biases_little():
@@ -174,12 +174,12 @@ def test_indefinite_matrix_is_reported_and_not_changed(exact):
     fit = simulated.least_squares([upside_down], cup.length, STRUCTURES['full'])
     assert not fit.usable
     assert np.linalg.eigvalsh(fit.stiffness)[0] < 0.0
-    assert any('not positive definite' in warning for warning in fit.warnings)
-    assert any('axisymmetric' in warning for warning in fit.warnings)
-    assert all('cup.length' in warning or 'not identifiable' in warning
-               for warning in fit.warnings)
+    first = fit.findings[0]
+    assert first.code == 'indefinite' and 'not positive definite' in first.numbers['name']
+    assert 'axisymmetric' in first.numbers['simpler']
+    assert {each.code for each in fit.findings} <= {'indefinite', 'not_identifiable'}
 
 
 def test_semidefinite_damping_is_no_fault():
-    assert definiteness_warnings(np.eye(6), np.zeros((6, 6)), 'full') == ()
-    assert len(definiteness_warnings(np.zeros((6, 6)), -np.eye(6), 'axisymmetric')) == 2
+    assert definiteness_findings(np.eye(6), np.zeros((6, 6)), 'full') == ()
+    assert len(definiteness_findings(np.zeros((6, 6)), -np.eye(6), 'axisymmetric')) == 2
