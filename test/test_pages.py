@@ -1,15 +1,31 @@
-"""Every command on every page: run, with the output that the page shows, or at least checked."""
+"""The pages: commands run or are checked, links lead somewhere, generated pages are current."""
 
+import importlib.util
+from pathlib import Path
 import re
 import shlex
 import subprocess
+import sys
 
 from bellows_ros.cli import app
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.table import PARAMETERS
 import pytest
 
-from .conftest import PAGES
+DOCS = Path(__file__).resolve().parents[1] / 'docs'
+
+
+def load(name):
+    """Import a script of docs/tools, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / 'tools' / f'{name}.py')
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+PAGES = load('pages')
+"""The script that knows the commands on the pages."""
 
 ALL = {str(page.relative_to(PAGES.ROOT)): page for page in PAGES.pages()}
 SLOW = ('output_error', 'tosses')
@@ -144,3 +160,59 @@ def test_parameter_files_on_the_pages_are_right(tmp_path):
                 read_parameters(tmp_path / 'block.yaml')
                 found += 1
     assert found > 0
+
+
+LINK = re.compile(r'\]\(([^)\s]+)\)|(?:src|srcset)="([^"]+)"')
+
+
+def anchors(page):
+    """Return the anchors that GitHub and Sphinx make of a page's headings."""
+    heads = re.findall(r'^#+ (.*)$', page.read_text(), re.MULTILINE)
+    return {re.sub(r'[^\w\- ]', '', head.lower()).replace(' ', '-') for head in heads}
+
+
+@pytest.mark.parametrize('page', PAGES.pages(), ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    """Find every file and heading that a page links to."""
+    text = re.sub(r'```.*?```', '', page.read_text(), flags=re.DOTALL)
+    for found in LINK.finditer(text):
+        link = found[1] or found[2]
+        if link.startswith(('http://', 'https://')):
+            continue
+        name, _, anchor = link.partition('#')
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        if anchor:
+            assert anchor in anchors(target), link
+
+
+def test_every_picture_is_shown(root):
+    """Keep no picture that no page shows."""
+    text = ''.join(page.read_text() for page in PAGES.pages())
+    unused = [path.name for path in (root / 'docs' / 'images').iterdir()
+              if path.name not in text]
+    assert unused == []
+
+
+@pytest.mark.parametrize('name', ['parameters.md', 'topics.md', 'commands.md'])
+def test_reference_is_current(name, root):
+    """Say what the declarations say; `make reference` writes the pages."""
+    reference = load('reference')
+    page = root / 'docs' / 'reference' / name
+    assert page.read_text() == reference.text_of(name), 'run: make reference'
+
+
+def test_the_first_page_leads_to_every_page(root):
+    """Link each in the text of the index, where GitHub shows no table of contents."""
+    docs = root / 'docs'
+    text = (docs / 'index.md').read_text()
+    pages = [path for path in PAGES.pages() if docs in path.parents and path.name != 'index.md']
+    links = {str(path.relative_to(docs)) for path in pages}
+    assert [link for link in links if f']({link})' not in text] == []
+
+
+def test_guides_name_every_command(root):
+    """Lead to each command from a page other than the reference."""
+    docs = root / 'docs'
+    text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])
+    assert [name for name in app.commands if f'bellows {name}' not in text] == []

@@ -1,1 +1,0 @@
-"""Tests of the pages: commands, links and generated parts."""

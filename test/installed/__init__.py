@@ -1,1 +1,0 @@
-"""Tests of the package that colcon installed."""
