@@ -63,6 +63,10 @@ HUBER_STD = 3.0
 """Size beyond which differences count linearly instead of quadratically (Huber), standard
 deviations."""
 
+PATH_PART = 0.7
+"""Part by which the noise of the tool's path is renewed: errors that a step returns with a factor
+between -1.8 and 1, as the cup is not linear, then decay."""
+
 BLOCK_DURATION = 1.0
 """Length of the parts of a recording whose information is stored, s: some periods of a swing."""
 
@@ -353,7 +357,7 @@ def _whitened(
         white[found.used][..., 0], white[found.used][..., 1:], course.start)
     explaining = np.zeros((segment.bins, 6))
     explaining[found.used] = weight * slope
-    likeliest = whitening.likeliest(explaining)
+    likeliest = course.noise + PATH_PART * (whitening.likeliest(explaining) - course.noise)
     bins_ns = segment.bins_ns + segment.bin_ns * np.arange(segment.bins)
     on_rows = [at_stamps(bins_ns, noise.filtered(
         -path[:, None, None] * np.eye(6), likeliest[..., None])[..., 0], segment.rows_ns)
