@@ -16,6 +16,7 @@ from bellows_ros.workflows.info import Info, TopicInfo
 from bellows_ros.workflows.toss import RELEASE_UNITS
 import numpy as np
 
+from .findings import sets
 from .findings import text as text_of
 from .sentences import listed, many
 from .text import column, display_unit, formatted, with_error
@@ -59,7 +60,17 @@ def print_info(result: Info, out: Any) -> None:
         out.line(f'World    probably {axes} (recording.world: {world}).')
     if result.rest_s is not None and result.rest_s >= MIN_REST:
         out.line(f'Both stand still for the first {result.rest_s:.1f} s.')
-    out.paragraph(*result.notes)
+    found = {name: list(value) if isinstance(value, tuple) else value
+             for name, value in result.settings.items() if name != 'bags'}
+    settled, open_ones = ([each for each in result.findings if found.keys().isdisjoint(
+        sets(each)) == is_open] for is_open in (False, True))
+    for title, lines in (
+            ('Set in the file of --write-params:', [
+                *(f'{name}: {value}' for name, value in found.items()), *map(text_of, settled)]),
+            ('To do:', [*map(text_of, open_ones)])):
+        out.line()
+        out.line(title * bool(lines))
+        out.paragraph(*(f'  {line}' for line in lines))
 
 
 def _topic_rows(result: Info) -> list[tuple[str, ...]]:

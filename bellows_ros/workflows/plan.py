@@ -16,7 +16,7 @@ from bellows_ros.core.live.predictor import points_down
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, model_tuple
 from bellows_ros.core.model.grip import Grip, safety_finding
-from bellows_ros.core.model.kernels import ModelTuple, State
+from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.checks import with_chosen_cup
@@ -99,6 +99,12 @@ class Source:
     path: str = ''
     values: Values = field(default_factory=lambda: Values({}))
     joints: Joints | None = None
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the tool's axes, which come first, and on reading the plan."""
+        x, y, z = self.tool.rotation[0, :, 2].tolist()
+        return (*[Finding('tool_z')] * points_down((x, y, z), self.model[2]), *self.notes)
 
     @property
     def duration(self) -> float:
@@ -218,7 +224,17 @@ class PlanReport(CommandResult):
         """Curves of the picture, including the time after a plan that ends at rest."""
         prediction, source = self.prediction, self.source
         after = min(TAIL_SHOWN, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
-        return curves(source.values, source.model, source.grip, extended(source.tool, after))
+        tool = extended(source.tool, after)
+        run = PlanSimulation(source.model, source.grip, tool, tail=0.0)
+
+        def compute(changed: ModelTuple) -> Array:
+            predicted = run.with_model(changed).predict()
+            angle = bending(tool.rotation, quaternion_to_rotation(predicted.states[:, 3:7]))
+            factors = 1.0 / np.maximum(predicted.loads, 1.0 / MAX_DRAWN_FACTOR)
+            return np.hstack([predicted.states[:, :3], angle[:, None], factors, predicted.wrench])
+
+        return Curves(tool.seconds, tool.position, compute(source.model), _deviations(
+            source.values, source.model, compute))
 
     @property
     def bodies(self) -> tuple[Trajectory, Trajectory]:
@@ -233,9 +249,7 @@ class PlanReport(CommandResult):
         source, prediction = self.source, self.prediction
         safety = Finding('no_factor') if prediction.grip is None else safety_finding(
             *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], self.least)
-        x, y, z = source.tool.rotation[0, :, 2].tolist()
-        return (*source.notes, *filter(None, (
-            Finding('tool_z') if points_down((x, y, z), source.model[2]) else None,
+        return (*source.findings, *filter(None, (
             safety, flip_finding(prediction.bending),
             None if source.begins_at_rest and prediction.ends_at_rest else Finding('in_motion', (
                 Level.WARN), {'side': ' and '.join(['begins'] * (not source.begins_at_rest) + [
@@ -351,22 +365,6 @@ def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
     z_tool, z_lip = R_world_tool[:, :, 2], R_world_lip[:, :, 2]
     sine = np.linalg.norm(np.cross(z_tool, z_lip), axis=1)
     return np.asarray(np.arctan2(sine, np.sum(z_tool * z_lip, axis=1)))
-
-
-def curves(
-    values: Values, model: ModelTuple, grip: Grip | None, tool: Trajectory,
-    start: State | None = None,
-) -> Curves:
-    """Return the curves of a motion, by default with the package at rest at its start."""
-    run = PlanSimulation(model, grip, tool, start, tail=0.0)
-
-    def compute(changed: ModelTuple) -> Array:
-        prediction = run.with_model(changed).predict()
-        angle = bending(tool.rotation, quaternion_to_rotation(prediction.states[:, 3:7]))
-        factors = 1.0 / np.maximum(prediction.loads, 1.0 / MAX_DRAWN_FACTOR)
-        return np.hstack([prediction.states[:, :3], angle[:, None], factors, prediction.wrench])
-
-    return Curves(tool.seconds, tool.position, compute(model), _deviations(values, model, compute))
 
 
 def extended(tool: Trajectory, seconds: float) -> Trajectory:

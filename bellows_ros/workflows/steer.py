@@ -110,7 +110,7 @@ class SteerReport(CommandResult):
         how = f'after {steered.method} of {modes}' if steered.method in steering.METHODS else (
             f'in the unchanged motion, as no shaper leaves less within {allowed:.2g} s')
         slowed = Finding('slowed', Level.OK, {'scale': self.time_scale, 'limit': self.limit})
-        return (*self.source.notes, *[slowed] * (self.time_scale > 1.0), Finding(
+        return (*self.source.findings, *[slowed] * (self.time_scale > 1.0), Finding(
             'shaped', Level.OK, {'residual': steered.residual, 'how': how}))
 
     @property

@@ -152,7 +152,7 @@ class TossResult(CommandResult):
         before = held.times <= self.toss.release_time
         angle = float(np.max(plan.bending(*(
             quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states)))))
-        return (*self.source.notes, *filter(None, (
+        return (*self.source.findings, *filter(None, (
             None if lost_at is None else Finding(
                 'lost_before', Level.WARN, {'lost': lost_at, 'switched': self.case.switched}),
             flip_finding(angle),
