@@ -58,6 +58,7 @@ def landing(
     """
     if not min(values.package.size) > 0.0:
         return None
+    values = conversion.with_assumed_release(values)
     law, factor = conversion.release_of(values), conversion.release_factor(values)
     switched = switched_ns / NS_PER_S
     ahead = (np.empty((0, 13)), np.empty(0),
