@@ -180,12 +180,10 @@ def print_release(result: ReleaseResult, out: Any) -> None:
         for mass, count, released, position, velocity in result.masses())], right=True)
     speed = max(drop.speed for drop in fit.drops)
     out.paragraph(
-        f'From drop to drop, the instant scatters by {milli * fit.scatter:.2f} ms (one sigma); '
-        f'at {speed:.2f} m/s, the fastest release, that is {milli * fit.scatter * speed:.1f} '
-        'mm along the flight.',
-        f'The law leaves {milli * fit.position:.2f} mm of the positions (rms); chi2 per pose: '
-        f'{fit.chi2:.3g} (1 if model and noise are right). Standard errors come from the '
-        'scatter between drops, and between masses.')
+        f'The instant scatters by {milli * fit.scatter:.2f} ms from drop to drop: '
+        f'{milli * fit.scatter * speed:.1f} mm at {speed:.2f} m/s, the fastest release.',
+        f'The law leaves {milli * fit.position:.2f} mm of the positions (RMS); chi² per pose: '
+        f'{fit.chi2:.3g} (1 if model and noise are right).')
     out.warn(*result.warnings)
 
 
@@ -324,10 +322,6 @@ def _print_budget(result: TossResult, out: Any) -> None:
     text = (
         f'Reduce first: {first}, {shifts[0]:.1f} of {total:.1f} mm. If it were known exactly, '
         f'{math.hypot(*shifts[1:]):.1f} mm would remain.')
-    others = math.hypot(*(shift for group, shift in zip(groups, shifts, strict=True)
-                          if not group.name.startswith('cup.')))
-    if others < total and not first.startswith('cup.'):
-        text += f' A perfect K and P would gain {total - others:.2f} mm.'
     if result.per_millisecond:
         text += (' Each millisecond of the valve moves the landing by '
                  f'{MILLI * result.per_millisecond:.1f} mm.')

@@ -25,7 +25,6 @@ def test_toss_prints_landing_and_largest_contribution(succeed, tmp_path):
     assert 3.012 < found['release_time'] < found['landing_time'] < 4.0
     assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
     assert 'Reduce first: release,' in done.stdout
-    assert 'A perfect K and P would gain' in ' '.join(done.stdout.split())
     assert picture.stat().st_size > 20_000
 
 
