@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply, exp_so3
+from bellows_ros.core.geometry.lie import apply, exp_so3, quaternion_to_rotation
 from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import AXES, Comparison, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.landing import ellipse
-from bellows_ros.core.toss.release import flight_path
 from bellows_ros.errors import BellowsError, require_pictures, shown
 from bellows_ros.files import File
 from bellows_ros.files.atomic import write_bytes
@@ -237,7 +236,11 @@ def steer_figure(report: Any) -> Any:
 def toss_figure(result: Any) -> Any:
     """Draw a toss from the side and from above, and its landing enlarged."""
     toss, case, tool = result.toss, result.case, result.source.tool.position
-    path, landing = flight_path(case.held.model, toss, 60), np.array(toss.landing[0][:2])
+    start, q, velocity, *_ = map(np.array, toss.release)
+    t = np.linspace(0.0, toss.landing_time - toss.release_time, 60)[:, None]
+    path = start + t * apply(quaternion_to_rotation(q), velocity) + 0.5 * t**2 * np.array(
+        case.held.model[2])
+    landing = np.array(toss.landing[0][:2])
     held = case.held.states[case.held.times <= toss.release_time]
     switched = held[np.searchsorted(case.held.times[:len(held)], case.switched) - 1]
     note = (f'{result.source.path}: valve {case.switched:.3f} s, lets go {toss.release_time:.3f} '

@@ -416,14 +416,3 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
 def latest_release(law: Law) -> float:
     """Return the longest time (s) from valve to release of a cup without load."""
     return law[0] + law[1] * (1.0 + law[5])
-
-
-def flight_path(model: ModelTuple, toss: Toss, count: int) -> Array:
-    """Return states (N, 13), evenly spaced from release to landing."""
-    _, package, gravity = model
-    out = np.empty((count, 13))
-    body, h = toss.release, (toss.landing_time - toss.release_time) / (count - 1)
-    for k in range(count):
-        write_row(out[k], body)
-        body = free_flight.flight(package, gravity, body, h, free_flight.ROTATION_PER_STEP)
-    return out

@@ -9,7 +9,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import release_of
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
-from bellows_ros.core.toss.release import flight_path, HeldMotion, toss
+from bellows_ros.core.toss.release import HeldMotion, toss
 from bellows_ros.errors import NoLandingError
 import numpy as np
 import pytest
@@ -108,15 +108,6 @@ def test_the_flight_keeps_energy_and_angular_momentum(rate):
     assert np.linalg.norm(after[2] - before[2]) <= 1e-10 * np.linalg.norm(before[2])
     fallen = before[3] * 2.0 + 0.5 * np.array(gravity) * 4.0
     np.testing.assert_allclose(np.array(end[0]) - start[0], fallen, atol=1e-11)
-
-
-def test_the_path_leads_from_the_release_to_the_landing(held):
-    """Its ends are those states."""
-    found = toss(held, RELEASE._replace(height=-0.3), 0.5)
-    path = flight_path(MODEL, found, 7)
-    for row, state in ((path[0], found.release), (path[-1], found.landing)):
-        np.testing.assert_allclose(row, np.concatenate(state), atol=1e-7)
-    assert found.tumbling == pytest.approx(np.linalg.norm(found.landing[3]))
 
 
 def test_in_a_tilted_world_the_same_package_lands_on_the_same_floor(held):
