@@ -206,11 +206,6 @@ class Structure:
             return self.basis
         return [composed(unit, np.array(self.places)) for unit in self.basis]
 
-    @cached_property
-    def upper(self) -> Array:
-        """Matrix (42, 2 n) from the parameters to the upper triangles of K and P, row by row."""
-        return np.kron(np.eye(2), np.transpose([unit[UPPER] for unit in self.model_basis]))
-
     def matrices(self, x: Array) -> tuple[Array, Array]:
         """Return K and P (6, 6) of the parameters x (2 n,)."""
         K, P = (np.tensordot(half, np.array(self.basis), axes=1) for half in np.split(x, 2))
