@@ -9,9 +9,6 @@ from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.kernels import PackageTuple, State
 
-ROTATION_PER_STEP = 0.01
-"""Rotation per integration step of the flight, rad."""
-
 MAX_FLIGHT_STEP = 0.02
 """Longest integration step of the flight, s."""
 COARSE_ROTATION_PER_STEP = 0.1

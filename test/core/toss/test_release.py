@@ -8,7 +8,7 @@ from bellows_ros.core.model.grip import NO_LAW
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import release_of
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.core.toss.free_flight import flight, ROTATION_PER_STEP
+from bellows_ros.core.toss.free_flight import flight
 from bellows_ros.core.toss.release import HeldMotion, toss
 from bellows_ros.errors import NoLandingError
 import numpy as np
@@ -94,7 +94,7 @@ def test_the_flight_keeps_energy_and_angular_momentum(rate):
     package = Package(1.8, inertia, (0.0, 0.0, -0.03))
     start = ((0.0, 0.1, 2.0), (0.1, 0.2, 0.3, math.sqrt(0.86)), (1.0, 0.5, 2.0), rate)
     gravity = (0.0, 0.0, -9.81)
-    end = flight(package.as_tuple, gravity, start, 2.0, ROTATION_PER_STEP)
+    end = flight(package.as_tuple, gravity, start, 2.0, 0.01)
 
     def constants(state):
         o, q, v, w = (np.array(part) for part in state)
