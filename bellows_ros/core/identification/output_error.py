@@ -379,7 +379,8 @@ def _fit(
     problem, size, x = found.problem, found.problem.count, found.problem.reported(found.theta)
     covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
     own_std = np.where(identifiable, std, np.inf)
-    used, information = found.residual_count // 6, found.information.shared[:size, :size]
+    poses, used = np.sum([outline.poses for outline in problem.outlines], axis=0).tolist()
+    information = found.information.shared[:size, :size]
     fit = Fit(
         method='output_error',
         structure=problem.structure.name,
@@ -388,7 +389,7 @@ def _fit(
         covariance=with_unidentifiable(covariance[:size, :size], ~identifiable[:size]),
         from_given=from_given[:size, :size],
         samples_used=used,
-        samples_rejected=sum(outline.poses for outline in problem.outlines) - used,
+        samples_rejected=poses - used,
         condition_number=inverted(information, np.sqrt(np.diag(information)))[2],
         weight=np.diag(1.0 / found.mean_square),
         residual_rms=np.sqrt(found.mean_square),

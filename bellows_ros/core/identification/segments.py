@@ -287,8 +287,8 @@ class Outline(NamedTuple):
         As of its segments.
     is_slow, is_tag : bool
         Whether its poses come slowly, and whether they are of a tag.
-    poses : int
-        Number of poses of the package.
+    poses : tuple of (int, int)
+        Number of poses of the package, and of valid ones.
     begin_ns : int
         Stamp of the first pose.
     ends_ns : tuple of (int, int)
@@ -301,7 +301,7 @@ class Outline(NamedTuple):
     moves_with_com: tuple[bool, bool, bool]
     is_slow: bool
     is_tag: bool
-    poses: int
+    poses: tuple[int, int]
     begin_ns: int
     ends_ns: tuple[tuple[int, int], ...]
 
@@ -312,6 +312,7 @@ def outline_of(segments: Segments) -> Outline:
     return Outline(
         measured.payload, measured.world, measured.moves_with_com,
         any(segment.is_slow for segment in segments), measured.views is not None,
-        sum(len(segment.measured.package) for segment in segments),
+        (sum(len(segment.measured.package) for segment in segments),
+         sum(len(segment.package) for segment in segments)),
         int(min(segment.package.stamps_ns[0] for segment in segments)),
         tuple((int(segment.rows_ns[0]), int(segment.rows_ns[-1])) for segment in segments))
