@@ -114,7 +114,7 @@ def write_bag(
 def _write(writer: Writer, recorded: Sequence[Encoded]) -> None:
     """Write messages in the order of their receipt."""
     names = [(r.topic, r.type_name) for r in recorded]
-    connections = {name: writer.add_connection(*name, typestore=bags.message_types())
+    connections = {name: writer.add_connection(*name, typestore=messages.message_types())
                    for name in dict.fromkeys(names)}
     streams = [zip(map(int, r.stamps_ns), repeat(number), map(bytes, r.data))
                for number, r in enumerate(recorded)]

@@ -8,7 +8,6 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,13 +18,6 @@ from bellows_ros.files import File, messages
 from rosbags.rosbag2 import Reader
 
 METADATA = 'metadata.yaml'
-TAG_TYPES = {
-    'apriltag_msgs/msg/Point': 'float64 x\nfloat64 y',
-    'apriltag_msgs/msg/AprilTagDetection':
-    'string family\nint32 id\nint32 hamming\nfloat32 goodness\nfloat32 decision_margin\n'
-    'apriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography',
-    messages.DETECTIONS: 'std_msgs/Header header\napriltag_msgs/AprilTagDetection[] detections'}
-"""Definitions of apriltag_msgs, for recordings without definitions."""
 
 Stream = PoseStream | TwistStream
 
@@ -185,38 +177,8 @@ def messages_of(
     with _opened(path) as reader:
         for connection, log_ns, data in _stored(
                 reader, lambda own, kind: kind in types and name in ('', own)):
-            yield connection.topic, log_ns, decoded(
+            yield connection.topic, log_ns, messages.decoded(
                 data, connection.msgtype, connection.msgdef.data, f" in '{path}'")
-
-
-def decoded(data: bytes, type_name: str, definition: str = '', where: str = '') -> Any:
-    """
-    Return a message of a type, by its recorded definition if any; `where` it is, for errors.
-
-    Raises
-    ------
-    BellowsError
-        If the message is damaged.
-
-    """
-    try:
-        return message_types(type_name if definition else '', definition).deserialize_cdr(
-            data, type_name)
-    except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
-        raise BellowsError(f'A {type_name}{where} cannot be decoded: {shown(str(error), 300)}. '
-                           'Record or send it again.') from None
-
-
-@cache
-def message_types(type_name: str = '', definition: str = '') -> Any:
-    """Return the types of a definition in a recording; without one, those of ROS 2 Jazzy."""
-    # late, as it takes long and is rarely needed
-    from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-
-    store = get_typestore(Stores.EMPTY if definition else Stores.ROS2_JAZZY)
-    for name, text in ({type_name: definition} if definition else TAG_TYPES).items():
-        store.register(get_types_from_msg(text, name))
-    return store
 
 
 def read_streams(path: File, wanted: Mapping[str, str]) -> dict[str, Stream]:

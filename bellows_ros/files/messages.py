@@ -11,7 +11,7 @@ Unusable messages are omitted from a stream, and counted by reason.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 import struct
 import tomllib
@@ -22,7 +22,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.screening import UNIT_TOLERANCE, unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
-from bellows_ros.errors import BellowsError, is_name
+from bellows_ros.errors import BellowsError, is_name, shown
 import numpy as np
 
 Indices = Stamps
@@ -57,6 +57,14 @@ LIP_FRAME = 'cup_lip'
 DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 IMAGE = 'sensor_msgs/msg/Image'
+
+TAG_TYPES = {
+    'apriltag_msgs/msg/Point': 'float64 x\nfloat64 y',
+    'apriltag_msgs/msg/AprilTagDetection':
+    'string family\nint32 id\nint32 hamming\nfloat32 goodness\nfloat32 decision_margin\n'
+    'apriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography',
+    DETECTIONS: 'std_msgs/Header header\napriltag_msgs/AprilTagDetection[] detections'}
+"""Definitions of apriltag_msgs, for recordings without definitions."""
 
 _STAMP_AT, _STRINGS_AT = 4, 12
 _MAX_PADDING = 3  # at the end, to a multiple of four
@@ -448,3 +456,33 @@ def refuse(refused: Refused, indices: Stamps, tests: Mapping[str, Mask]) -> Stam
             refused[reason] = tuple(indices[bad & good].tolist())
         good &= ~bad
     return indices[good]
+
+
+def decoded(data: bytes, type_name: str, definition: str = '', where: str = '') -> Any:
+    """
+    Return a message of a type, by its recorded definition if any; `where` it is, for errors.
+
+    Raises
+    ------
+    BellowsError
+        If the message is damaged.
+
+    """
+    try:
+        return message_types(type_name if definition else '', definition).deserialize_cdr(
+            data, type_name)
+    except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
+        raise BellowsError(f'A {type_name}{where} cannot be decoded: {shown(str(error), 300)}. '
+                           'Record or send it again.') from None
+
+
+@cache
+def message_types(type_name: str = '', definition: str = '') -> Any:
+    """Return the types of a definition in a recording; without one, those of ROS 2 Jazzy."""
+    # late, as it takes long and is rarely needed
+    from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+
+    store = get_typestore(Stores.EMPTY if definition else Stores.ROS2_JAZZY)
+    for name, text in ({type_name: definition} if definition else TAG_TYPES).items():
+        store.register(get_types_from_msg(text, name))
+    return store

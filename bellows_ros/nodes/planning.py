@@ -26,7 +26,7 @@ from ..core.planning.points import joint_excess, Joints, plan_of, plan_of_joints
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, same_frame, Trajectory
 from ..errors import BellowsError
-from ..files import bags, plan_messages
+from ..files import messages, plan_messages
 from ..files.plan_messages import JointPlan, PlanMessage
 from ..report.findings import warnings
 from ..report.health import fact, number, Status
@@ -168,7 +168,7 @@ class Planning:
     def _of_tool(self, data: bytes) -> tuple[PlanMessage, Trajectory, None]:
         """Return a plan of the tool, and its motion of E."""
         values = self._pipeline.values
-        message = plan_messages.multi_dof(bags.decoded(data, plan_messages.MULTI_DOF))
+        message = plan_messages.multi_dof(messages.decoded(data, plan_messages.MULTI_DOF))
         self._require_frame(message.frame_id)
         self._pipeline.node.note_frame(
             message.frame_id, 'tool_arm/plan', 'its frame is that of the tool poses')
@@ -188,7 +188,7 @@ class Planning:
                 'and set tool_link to the link at the tool tip.')
         arm: Arm = read_arm(self._urdf, values.tool_link).with_tip(tip_of(values))
         self._require_frame(arm.root)
-        plan = plan_messages.joint_plan(bags.decoded(data, plan_messages.JOINTS))
+        plan = plan_messages.joint_plan(messages.decoded(data, plan_messages.JOINTS))
         return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
 
     def _require_frame(self, frame_id: str) -> None:

@@ -9,9 +9,8 @@ from bellows_ros.core.sensors.camera import (
 )
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import Encoded, write_bag
-from bellows_ros.files.bags import message_types
 from bellows_ros.files.detections import read_contents, read_views, TagSought
-from bellows_ros.files.messages import DETECTIONS, IMAGE, pack, TRANSFORMS
+from bellows_ros.files.messages import DETECTIONS, IMAGE, message_types, pack, TRANSFORMS
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest

@@ -7,7 +7,7 @@ import sys
 
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import TAG_TYPES
+from bellows_ros.files.messages import TAG_TYPES
 from bellows_ros.nodes.conversions import vector
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose
