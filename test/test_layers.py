@@ -34,7 +34,7 @@ LATE = {
     'bellows_ros/__init__.py': ('bellows_ros.library',),
     'bellows_ros/library.py': ('bellows_ros.workflows',),
     'bellows_ros/core/sensors/corners.py': ('scipy.optimize',),
-    'bellows_ros/files/bags.py': ('rosbags',),
+    'bellows_ros/files/messages.py': ('rosbags',),
     'bellows_ros/nodes/command.py': (
         'bellows_ros.core.parameters.table', 'bellows_ros.files',
         'bellows_ros.nodes.guarding'),

@@ -28,13 +28,13 @@ class Cell:
         self.period_ns, self.stamp = period_ns, START
 
     def send(self, position, twist=None):
-        """Send a pose and maybe a twist; return predictions, phase and covariances."""
+        """Send a pose and maybe a twist; return the newest prediction, phase and covariance."""
         self.stamp += self.period_ns
         out = self.live.on_pose(self.stamp, 'world', position, UPRIGHT, self.stamp)
         if twist is not None:
             out += self.live.on_twist(self.stamp, *twist, 'world')
         phase = self.live.phase(self.stamp)
-        return [(p, phase, self.live.covariance(p.stamp_ns)) for p in out]
+        return [(p, phase, self.live.covariance(p.stamp_ns)) for p in out[-1:]]
 
     def stands_still(self, position, twist=None, seconds=4.0):
         """Send a clean stream of a tool at rest, and judge every prediction of it."""
