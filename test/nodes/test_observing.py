@@ -126,8 +126,9 @@ def test_counts_begin_again_with_the_observer(make_partner):
 
 
 def test_wrenches_weigh_the_package(make_partner):
-    """A wrench alone corrects the mass that is published."""
-    partner = make_partner({**PACKAGE, 'package.mass_std': 0.1 * PACKAGE['package.mass']})
+    """A wrench of a sensor set to zero alone corrects the mass that is published."""
+    partner = make_partner({**PACKAGE, 'package.mass_std': 0.1 * PACKAGE['package.mass'],
+                            'wrench.bias_std': [0.1, 0.02]})
     writer = partner.writes(WrenchStamped, 'tool_arm/wrench')
     payloads = partner.hears(InertiaStamped, 'package/estimated')
     partner.connect()
