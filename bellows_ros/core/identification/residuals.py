@@ -63,9 +63,9 @@ HUBER_STD = 3.0
 """Size beyond which differences count linearly instead of quadratically (Huber), standard
 deviations."""
 
-PATH_PART = 0.7
+PATH_PART = 0.85
 """Part by which the noise of the tool's path is renewed: errors that a step returns with a factor
-between -1.8 and 1, as the cup is not linear, then decay."""
+between -1.3 and 1, as the cup is not linear, then decay."""
 
 BLOCK_DURATION = 1.0
 """Length of the parts of a recording whose information is stored, s: some periods of a swing."""
