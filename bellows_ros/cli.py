@@ -108,7 +108,7 @@ class Command(click.Command):
                 formatter.write_text(paragraph)
 
 
-class Group(Command, click.Group):
+class Commands(Command, click.Group):
     """Commands in their order here; a wrong name is answered with the nearest one."""
 
     command_class = Command
@@ -127,7 +127,7 @@ class Group(Command, click.Group):
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=Group, context_settings={
+@click.group(cls=Commands, context_settings={
     'help_option_names': ['-h', '--help'], 'max_content_width': WIDTH})
 @click.version_option(__version__, message='bellows %(version)s')
 def app() -> None:

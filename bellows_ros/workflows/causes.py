@@ -9,7 +9,7 @@ from typing import Any
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.result import Finding as Cause
+from bellows_ros.core.identification.result import Cause
 from bellows_ros.core.recording import alignment
 import numpy as np
 

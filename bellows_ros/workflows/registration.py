@@ -7,6 +7,7 @@ from bellows_ros.core.findings import Finding
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import output_error
+from bellows_ros.core.identification.estimate import Solution
 from bellows_ros.core.identification.quantities import KINDS, weak_prior
 from bellows_ros.core.identification.samples import likely_delay
 from bellows_ros.core.parameters import checks
@@ -47,9 +48,7 @@ def _registered(
     values: Values, rough_s: float,
 ) -> Recording:
     """Return prepared streams with clocks that differ by about rough_s, s."""
-    estimate = values.recording.package_world == checks.ESTIMATE
-    # At rest no marker can be aligned with an unknown world.
-    marked = 'package_marker' in values.fit.free or estimate and settings.align_at_rest
+    marked = _is_marked(settings, values)
     pose, alignment = _first_guess(tool, package, settings, values, marked)
 
     def filtered(alignment: frames.Alignment | None) -> Recording:
@@ -64,26 +63,19 @@ def _registered(
         tool = trajectory.earlier(tool, late_s)
         twist = twist and trajectory.earlier(twist, late_s)
         rough_s, recording = rough_s + late_s, filtered(alignment)
-    tells_clock = values.fit.time_offset and (late_s is not None or len(
-        frames.rotation_correlation(tool.trajectory(), package.trajectory())[0]) > 0)
-    names = [name for name, free in (
-        ('time_offset', tells_clock), ('package_world', estimate),
-        ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
-    found = output_error.registered(
-        recording, given_structure(values), one_cup_of(values), weak_prior(names),
-    ) if names else None
+    tells_clock = values.fit.time_offset and (late_s is not None or _turn(tool, package))
+    found = _estimated(recording, values, tells_clock, marked)
     changes, estimates = dict[str, Any](), {
         name: found.estimate(name) for name in found.problem.places} if found else {}
     world, world_std = estimates.get('package_world', (None, np.zeros(6)))
-    if values.fit.method == 'least_squares':
-        _require_world(world_std)
+    _require_world(values.fit.method, world_std)
     (scale,), _ = estimates.get('scale', (np.zeros(1), None))
     if scale and pose is not None:
         package, pose, settings = _scaled(package, pose, settings, 1.0 + scale)
         changes['scale'] = float(1.0 + scale) * values.measured.scale
     if world is not None and pose is not None:
-        middle = middle_of(recording.tracked_package)[:3]
-        pose = frames.shifted_pose(pose, settings.R_world_recorded, middle, world)
+        pose = frames.shifted_pose(pose, settings.R_world_recorded, middle_of(
+            recording.tracked_package)[:3], world)
         changes['package_world'] = prepared.PackageWorld(pose, world_std)
     if settings.tag and found:
         settings = replace(settings, tag=replace(
@@ -97,6 +89,30 @@ def _registered(
     elif values.fit.time_offset:
         changes['remarks'] = (*recording.report.remarks, Finding('no_offset'))
     return replace(recording, report=replace(recording.report, **changes))
+
+
+def _is_marked(settings: PrepareSettings, values: Values) -> bool:
+    """Return whether the marker is free: at rest none can be aligned with an unknown world."""
+    return 'package_marker' in values.fit.free or settings.align_at_rest and (
+        values.recording.package_world == checks.ESTIMATE)
+
+
+def _turn(tool: PoseStream, package: PoseStream) -> bool:
+    """Return whether the bodies turn enough to tell their clocks."""
+    return len(frames.rotation_correlation(tool.trajectory(), package.trajectory())[0]) > 0
+
+
+def _estimated(
+    recording: Recording, values: Values, tells_clock: bool, marked: bool
+) -> Solution | None:
+    """Return the fit of K and P with the free ones of clock, world, marker and scale, if any."""
+    names = [name for name, free in (
+        ('time_offset', tells_clock),
+        ('package_world', values.recording.package_world == checks.ESTIMATE),
+        ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
+    return output_error.registered(
+        recording, given_structure(values), one_cup_of(values), weak_prior(names),
+    ) if names else None
 
 
 def _scaled(
@@ -117,9 +133,9 @@ def _realigned(alignment: frames.Alignment, marker: Array) -> frames.Alignment:
         origin_to_com=R.T @ (alignment.origin_to_com + marker[:3]))
 
 
-def _require_world(std: Array) -> None:
-    """Raise if the world is unidentifiable, for a method that takes it as exact."""
-    if np.any(std > KINDS['package_world'].max_std):
+def _require_world(method: str, std: Array) -> None:
+    """Raise if the world is unidentifiable, for least squares, which take it as exact."""
+    if method == 'least_squares' and np.any(std > KINDS['package_world'].max_std):
         each = [f'{x:.2g}' for x in DISPLAY_FACTORS * std]
         raise UndeterminedError(
             'recording.package_world is not identifiable from this recording: the standard '

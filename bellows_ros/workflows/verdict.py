@@ -12,8 +12,7 @@ from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.estimate import MAX_NOISE_CHI2
 from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
-from bellows_ros.core.identification.result import DISTINCT, Fit, POSE_UNITS
-from bellows_ros.core.identification.result import Finding as Cause
+from bellows_ros.core.identification.result import Cause, DISTINCT, Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure

@@ -6,7 +6,7 @@ from bellows_ros.core import findings
 from bellows_ros.core.findings import Level
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.identification.result import Finding, Fit
+from bellows_ros.core.identification.result import Cause, Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.conversion import tag_of
 from bellows_ros.core.parameters.values import Values
@@ -41,15 +41,15 @@ def words(findings):
 def cause(name, theta, share=0.9, certain=True):
     """Return what was found to be otherwise, with small standard errors."""
     theta = np.array(theta)
-    return Finding(name, '', theta, 1e-3 * np.abs(theta), share, 0.4, True, certain)
+    return Cause(name, '', theta, 1e-3 * np.abs(theta), share, 0.4, True, certain)
 
 
 @pytest.mark.parametrize(('off', 'listed'), [(1.0, ()), (10.0, ('gravity', 'scale'))])
 def test_an_unknown_cause_and_its_candidates_are_for_a_cup_that_is_refused(off, listed):
     """A sound recording gets none, whatever the memory of its noise."""
     noise = np.repeat([1e-4, 5e-4], 3)
-    findings = (Finding('unknown', 'rx', np.array([0.0, 8.0, 0.0, 5.0]), np.zeros(4), 0.0,
-                        certain=False, datum=False),
+    findings = (Cause('unknown', 'rx', np.array([0.0, 8.0, 0.0, 5.0]), np.zeros(4), 0.0,
+                      certain=False, datum=False),
                 cause('scale', [0.01], 0.4, False), cause('time_offset', [0.01], 0.2, False))
     found = FitVerdict((Simulated('a', off * noise, noise, 20.0 * noise),),
                        findings, Values({}))

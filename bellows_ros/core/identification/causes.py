@@ -29,7 +29,7 @@ from bellows_ros.core.identification.estimate import (
 )
 from bellows_ros.core.identification.quantities import Free, KINDS, weak_prior
 from bellows_ros.core.identification.residuals import BLOCK_DURATION, Part
-from bellows_ros.core.identification.result import CHANCE, DISTINCT, Finding, MATERIAL
+from bellows_ros.core.identification.result import Cause, CHANCE, DISTINCT, MATERIAL
 from bellows_ros.core.identification.segments import (
     MeasuredSegment,
     Outline,
@@ -224,7 +224,7 @@ def freed(before: Solution, name: str) -> Alternative:
         found.problem, name, before.misfit - found.misfit))
 
 
-def rank(end: Solution, given_std: Free) -> tuple[Finding, ...]:
+def rank(end: Solution, given_std: Free) -> tuple[Cause, ...]:
     """
     Return up to three causes of a misfit, the likeliest first, after an unknown one if none fits.
 
@@ -295,7 +295,7 @@ def _is_certain(
 
 def _finding(
     end: Solution, one: Alternative, share: float, falls: Mapping[str, float]
-) -> Finding:
+) -> Cause:
     """Return the finding of a freed quantity, without a claim."""
     name, problem = one.name, one.found.problem
     theta, std = one.found.estimate(name)
@@ -312,7 +312,7 @@ def _finding(
         std = np.append(std[worst:worst + 2], MIN_SLIP_PERIOD)
     if name == 'mass':  # K and P scaled with mass and inertia give equal motion
         theta = -theta
-    return Finding(
+    return Cause(
         REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '', theta, std,
         share=min(share, 1.0), moved=moved, certain=False, instead=instead,
         datum=name not in OF_CUP and (name != 'clock_rate' or moved > MATERIAL))
@@ -366,7 +366,7 @@ def _slip_scores(own: Array, C: Array, parts: Sequence[Part]) -> list[Array]:
     return np.split(falls[:, 0, 0], counts)
 
 
-def unknown(end: Solution) -> Finding:
+def unknown(end: Solution) -> Cause:
     """Return axis, time span (s) and frequency band (Hz) of the largest residual."""
     sums, held = end.sums, end.problem.held.only
     axis = int(np.argmax(sum(np.sum(one.squares, axis=0) for one in sums)))
@@ -376,7 +376,7 @@ def unknown(end: Solution) -> Finding:
     (span,) = end.parts.pool.results(
         _span, axis, int(np.argmax(means[number])), begin_ns, held([number]),
         end.parts.only([number]))
-    return Finding('unknown', AXES[axis], span, np.zeros(4), share=0.0, certain=False, datum=False)
+    return Cause('unknown', AXES[axis], span, np.zeros(4), share=0.0, certain=False, datum=False)
 
 
 def _span(
@@ -398,7 +398,7 @@ def _span(
         low[0], high[0]])
 
 
-def _other_frame(end: Solution, best: Alternative) -> Finding | None:
+def _other_frame(end: Solution, best: Alternative) -> Cause | None:
     """
     Return exchanged frames, poses of the lip for poses of the com or vice versa, or None.
 
@@ -420,7 +420,7 @@ def _other_frame(end: Solution, best: Alternative) -> Finding | None:
     if not with_com.found.fits or left > MIN_FRAME_SHIFT * com or (
             end.misfit - with_com.found.misfit < best.gain - SIGNIFICANT**2):
         return None
-    return Finding('recording.package_frame', 'com' if is_lip else 'lip')
+    return Cause('recording.package_frame', 'com' if is_lip else 'lip')
 
 
 def _of_frame(is_lip: bool, measured: MeasuredSegment) -> MeasuredSegment:
@@ -433,21 +433,21 @@ def _of_frame(is_lip: bool, measured: MeasuredSegment) -> MeasuredSegment:
 ROTATIONS = (90, 180, -90)
 """Rotations about z of a wrongly mounted frame, degrees."""
 
-Setting = tuple[Finding, Callable[[MeasuredSegment], MeasuredSegment]]
+Setting = tuple[Cause, Callable[[MeasuredSegment], MeasuredSegment]]
 """A setting, and the function that applies the setting to a part of a recording."""
 
 
 def settings_of(outlines: Sequence[Outline]) -> Iterator[Setting]:
     """Yield the other settings of recordings of one cup."""
     for value, R in _worlds(outlines[0].world):
-        yield Finding('recording.world', value), partial(_in_world, R)
+        yield Cause('recording.world', value), partial(_in_world, R)
     for degrees in ROTATIONS:
         phi = np.array([0.0, 0.0, -np.radians(degrees)])
-        yield Finding('yaw', f'tool {degrees}'), partial(_with_tool_turned, phi)
-        yield Finding('yaw', f'package {degrees}'), partial(_with_package_turned, phi)
+        yield Cause('yaw', f'tool {degrees}'), partial(_with_tool_turned, phi)
+        yield Cause('yaw', f'package {degrees}'), partial(_with_package_turned, phi)
     packages = list({each.payload.mass: each.payload for each in outlines}.values())
     if len(packages) == 2:
-        yield Finding('package.files', 'exchanged'), partial(_exchanged, packages)
+        yield Cause('package.files', 'exchanged'), partial(_exchanged, packages)
 
 
 def _in_world(R: Array, each: MeasuredSegment) -> MeasuredSegment:
@@ -480,7 +480,7 @@ def _worlds(world: str) -> Iterator[tuple[str, Array]]:
             yield f'gravity {down.astype(int).tolist()}', levelling(down)
 
 
-def likeliest_setting(near: Solution, cup: Cup) -> Finding | None:
+def likeliest_setting(near: Solution, cup: Cup) -> Cause | None:
     """
     Return the other setting with which recordings fit to the noise, or None.
 
@@ -495,7 +495,7 @@ def likeliest_setting(near: Solution, cup: Cup) -> Finding | None:
     held, pool = problem.held.only(numbers), problem.held.pool
     worst = problem.with_segments(*pool.hold(
         _segment, pool.each([int(np.argmax(squares[number])) for number in numbers]), held))
-    ends = [(approach(worst).squares, Finding('', ''))]
+    ends = [(approach(worst).squares, Cause('', ''))]
     for finding, change in settings_of(worst.outlines):
         with suppress(BellowsError):  # no cup explains this setting
             ends.append((approach(worst.changed(change)).squares, finding))

@@ -38,8 +38,8 @@ from bellows_ros.core.identification.quantities import (
 )
 from bellows_ros.core.identification.residuals import at_rest
 from bellows_ros.core.identification.result import (
+    Cause,
     CHANCE,
-    Finding,
     Fit,
     Freed,
     Iteration,
@@ -373,7 +373,7 @@ def _relative_variances(count: int, squares: Array) -> Array:
 
 def _fit(
     found: Solution, iterations: list[Iteration], named: Sequence[str], given: Free,
-    reasons: tuple[Finding, ...],
+    reasons: tuple[Cause, ...],
 ) -> Fit:
     """Return the result of a solution, with the covariance of identifiable parameters."""
     problem, size, x = found.problem, found.problem.count, found.problem.reported(found.theta)

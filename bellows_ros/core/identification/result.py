@@ -65,7 +65,7 @@ DISTINCT = 0.5
 counts."""
 
 
-class Finding(NamedTuple):
+class Cause(NamedTuple):
     """
     A confirmed or possible deviation from a given quantity or setting.
 
@@ -181,7 +181,7 @@ class Fit:
     stretch, stretch_std : (float, float)
         Coefficients a, b of the cup's stretch (N/m^2, N), and their standard errors; zeros without
         stretch.
-    causes : tuple of Finding
+    causes : tuple of Cause
         Possible causes of the residual of output error, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
         Additional covariance by the given quantities' standard deviations; None for none.
@@ -219,7 +219,7 @@ class Fit:
     noise_in_motion: Mapping[int, Array] = field(default_factory=dict)
     stretch: tuple[float, float] = (0.0, 0.0)
     stretch_std: tuple[float, float] = (0.0, 0.0)
-    causes: tuple[Finding, ...] = ()
+    causes: tuple[Cause, ...] = ()
     from_given: Array | None = None
     held_out: Array | None = None
     nuisances: Mapping[str, Array] = field(default_factory=dict)

@@ -106,7 +106,7 @@ class Alarm(NamedTuple):
             'y': y, 'origin': self.shown_by}, self.parameter)
 
 
-class Seen(NamedTuple):
+class Innovation(NamedTuple):
     """A measured pose at the predicted pose."""
 
     stamp_ns: int
@@ -129,7 +129,7 @@ class Evidence(NamedTuple):
     """Stamp of the last usual means, ns."""
     differing: int = 0
     """Number of successive poses in which a parameter differs."""
-    seen: Seen | None = None
+    seen: Innovation | None = None
     """The last measured pose."""
 
     @property
@@ -138,7 +138,7 @@ class Evidence(NamedTuple):
         spread = 1.0 - (1.0 - 1.0 / COUNTS) ** (2.0 * max(self.poses, 1))
         return np.asarray((2.0 * COUNTS - 1.0) / spread * np.square(self.means).sum(axis=1))
 
-    def after(self, seen: Seen, z: Array) -> Evidence:
+    def after(self, seen: Innovation, z: Array) -> Evidence:
         """Return the evidence after another pose, with the innovation that counts."""
         more = self._replace(means=self.means + (z - self.means) / COUNTS[:, None],
                              poses=self.poses + 1, seen=seen)
@@ -160,7 +160,7 @@ def threshold(false_per_hour: float, period: float) -> float:
     return x
 
 
-def deviation(seen: Seen, z: Array, since_ns: int) -> Alarm:
+def deviation(seen: Innovation, z: Array, since_ns: int) -> Alarm:
     """Return the alarm on poses that deviate by a whitened innovation (6,) since a stamp (ns)."""
     shift, rotation = (t3.apply(t3.rotation_matrix(seen.body[1]), (a, b, c))
                        for a, b, c in np.linalg.solve(seen.whitener, z).reshape(2, 3).tolist())

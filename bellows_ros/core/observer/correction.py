@@ -305,7 +305,7 @@ class Correction:
         result, after = self._step(
             before, track, stamp_ns, is_recorded, measurement, measured.GATE, support)
         weight = math.sqrt(max(result.distance / measured.OUTLIER_DISTANCE, 1.0))
-        seen = alarms.Seen(
+        seen = alarms.Innovation(
             stamp_ns, result.exposed, weight * result.z, weight * result.whitener)
         if result.verdict == measured.OUT_OF_REACH:
             return before._replace(
@@ -399,7 +399,7 @@ class Correction:
         return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
     def _judged(
-        self, before: Estimate, after: Estimate, seen: alarms.Seen, z: Array
+        self, before: Estimate, after: Estimate, seen: alarms.Innovation, z: Array
     ) -> tuple[Estimate, Alarm | None]:
         """Return an estimate with the evidence of a pose, and the alarm on it."""
         row, is_tag = states.LATENCY, self._marker[3][0]

@@ -10,7 +10,7 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification import estimate
 from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.quantities import as_found
-from bellows_ros.core.identification.result import Finding
+from bellows_ros.core.identification.result import Cause
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.faults import recording_remarks
@@ -227,8 +227,8 @@ def test_a_jump_of_the_package_is_a_slip_even_with_other_causes():
 def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
     """It is what the given direction, turned by the finding, is there."""
     given = {'gravity.direction': (np.sin(0.2), 0.0, -np.cos(0.2))}
-    found = Finding('gravity.direction', '', np.array([0.0, -0.2]), np.full(2, 1e-3))
-    back = Finding('gravity.direction', '', np.array([0.0, 0.2]), np.full(2, 1e-3))
+    found = Cause('gravity.direction', '', np.array([0.0, -0.2]), np.full(2, 1e-3))
+    back = Cause('gravity.direction', '', np.array([0.0, 0.2]), np.full(2, 1e-3))
     said = [re.search(r'direction: \[(.*)\]', text(cause_finding(own, given)))[1]
             for own in (found, back)]
     x = [float(text.split(',')[0]) for text in said]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from bellows_ros.core.identification import methods
 from bellows_ros.core.identification.least_squares import statistics
 from bellows_ros.core.identification.methods import fit, start_cup
-from bellows_ros.core.identification.result import Finding
+from bellows_ros.core.identification.result import Cause
 from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
@@ -51,7 +51,7 @@ def test_motion_is_too_little_where_neither_a_misfit_nor_noise_hides_the_damping
     found = methods.fitted([recording], VALUES)
     unknown = replace(
         found, method='output_error', robust_chi2=chi2,
-        causes=(Finding('length', '', certain=certain),), covariance=np.diag([
+        causes=(Cause('length', '', certain=certain),), covariance=np.diag([
             (std * x) ** 2 if label == 'K rz' else np.inf
             for label, x in zip(found.labels, found.parameters, strict=True)]))
     monkeypatch.setattr(methods, 'fitted', lambda *own, **more: unknown)

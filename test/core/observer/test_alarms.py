@@ -103,7 +103,7 @@ def test_threshold_is_exceeded_at_the_allowed_rate():
     poses = 3600.0 / 0.03
     assert chi2.sf(x, 6) * poses * np.sum(1.0 / alarms.COUNTS) == pytest.approx(2.0, rel=1e-3)
     rng, evidence, largest = np.random.default_rng(1), alarms.Evidence(), []
-    seen = alarms.Seen(1, None, None, None)
+    seen = alarms.Innovation(1, None, None, None)
     for z in rng.normal(size=(3000, 6)):
         evidence = evidence.after(seen, z)
         largest.append(evidence.squares)
