@@ -3,115 +3,56 @@ The command `bellows`: the package from a shell, without ROS.
 
 The commands are functions whose docstring is the help of the command. They import their work when
 called, so that help and completion answer at once, and return an `Outcome`, which is written and
-printed here. `guarded` turns errors and signals into a message and an exit code.
+printed here.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import contextmanager, suppress
 import difflib
-import errno
 from functools import partial
 import inspect
-from io import TextIOWrapper
 import os
 from pathlib import Path
 from shutil import which
-import signal
 import sys
-import threading
-import time
-import traceback
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple, TYPE_CHECKING
 
-from bellows_ros.errors import BellowsError, CRASHED, NotSetError, require_pictures, shown
+from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.exits import EXIT_CODES, guarded, NOT_USABLE, OK, USER_ERROR
+from bellows_ros.files.atomic import (
+    Binary,
+    Folder,
+    Output,
+    require_absent,
+    require_outputs,
+    STDOUT,
+)
 from bellows_ros.version import __version__
 import click
 from click.shell_completion import CompletionItem, shell_complete
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from types import FrameType
-
     from bellows_ros.report.console import Console
 
-OK, NOT_USABLE, USER_ERROR = 0, 1, 2
-EXIT_CODES: Mapping[int, str] = {
-    OK: 'done', NOT_USABLE: 'done, with a negative result; see the command',
-    USER_ERROR: 'error: the message says what to correct; every output file is whole',
-    CRASHED: 'crash: a defect of this package; please report it',
-    130: 'interrupted with Ctrl-C, 143 ended by SIGTERM; every output file is whole'}
-STDOUT = '-'
-"""Name of standard output, as in `files.atomic`."""
 WIDTH = 100
 """Largest width of help, characters."""
 
-
-class Output(str):
-    """Name of a text file to write, '-' for stdout. Names of input files have the type Path."""
-
-
-class Binary(Output):
-    """The name of a binary file to write."""
-
-
-class Folder(Binary):
-    """The name of a folder to write."""
+DEFAULTS: Mapping[str, Any] = {
+    **dict.fromkeys(('json', 'plot', 'report', 'first', 'last', 'tool_link'), ''),
+    **dict.fromkeys(('bags', 'params', 'overrides'), ()), 'force': False}
+"""Values of options that some commands lack."""
 
 
 class Outcome(NamedTuple):
-    """
-    Result of a command.
-
-    Parameters
-    ----------
-    show : callable
-        Function that prints the result on a console.
-    result
-        Result for --json and for the picture.
-    succeeded : bool
-        Whether the exit code is 0.
-    then : tuple of str
-        Next steps after a file was written.
-    inputs : sequence of path or None
-        Recordings and plans named in the JSON file with their digests, in addition to the
-        parameter files; None if the result has no inputs, or names them itself.
-    content : mapping or None
-        Content for --json instead of the result.
-    draw : str
-        File for the picture of the result.
-
-    """
+    """Result of a command, the function that prints the result, and the next steps."""
 
     show: Callable[['Console'], None]
-    result: Any = None
-    succeeded: bool = True
+    result: Any
     then: tuple[str, ...] = ()
-    inputs: Sequence[Any] | None = None
-    content: Mapping[str, Any] | None = None
-    draw: str = ''
 
 
-# --------------------------------------------------------------------------------- help and errors
-
-
-class Command(click.Command):
-    """A command whose help has indented lines unchanged, such as examples."""
-
-    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the paragraphs of the docstring."""
-        for paragraph in inspect.cleandoc(self.help or '').split('\n\n'):
-            formatter.write_paragraph()
-            if '\n  ' in paragraph:
-                formatter.write(f'{paragraph}\n')
-            else:
-                formatter.write_text(paragraph)
-
-
-class Commands(Command, click.Group):
+class Commands(click.Group):
     """Commands in their order here; a wrong name is answered with the nearest one."""
-
-    command_class = Command
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the commands in the order of their definition."""
@@ -127,6 +68,11 @@ class Commands(Command, click.Group):
         return super().resolve_command(ctx, args)
 
 
+def help_of(text: str | None) -> str:
+    """Return a docstring as help, with examples and lists as they are."""
+    return inspect.cleandoc(text or '').replace('For example:', '\b\nFor example:')
+
+
 @click.group(cls=Commands, context_settings={
     'help_option_names': ['-h', '--help'], 'max_content_width': WIDTH})
 @click.version_option(__version__, message='bellows %(version)s')
@@ -134,7 +80,7 @@ def app() -> None:
     """
     Identify bellows suction cups, and predict the motion of the packages that they hold.
 
-    try it:
+    For example:
       bellows identify bags/identification --params bags/package.yaml --out cup.yaml
       bellows replay bags/validation --params bags/package.yaml --params cup.yaml
 
@@ -142,8 +88,8 @@ def app() -> None:
     """
 
 
-app.help = inspect.cleandoc(str(app.help)) + '\n\nexit codes:\n' + '\n'.join(
-    f'  {code:<4} {meaning}' for code, meaning in EXIT_CODES.items())
+app.help = '\n'.join([help_of(app.help), '\n\b\nexit codes:', *(
+    f'  {code:<4} {meaning}' for code, meaning in EXIT_CODES.items())])
 
 
 def parameter_names(
@@ -207,9 +153,9 @@ def command(
     """Register a function of options and console as a command of its name."""
     def register(work: Callable[[Any, 'Console'], Outcome]) -> click.Command:
         def call(**given: Any) -> int:
-            return run_command(work, SimpleNamespace(command=work.__name__, **given))
+            return run_command(work, SimpleNamespace(**{**DEFAULTS, **given}))
 
-        call.__doc__ = work.__doc__
+        call.__doc__ = help_of(work.__doc__)
         for option in reversed(options):
             call = option(call)
         return app.command(name or work.__name__)(call)
@@ -240,15 +186,15 @@ def info(arguments: Any, console: 'Console') -> Outcome:
     """
     from bellows_ros.files.atomic import write_text
     from bellows_ros.report.printed import cell_file, print_info
-    from bellows_ros.workflows import info as workflow
+    from bellows_ros.workflows.info import info
 
     require_absent(arguments.write_params, arguments.force)
     console.progress(f'reading {arguments.bag}')
-    result = workflow.info(arguments.bag, read_settings(arguments))
+    result = info(arguments.bag, read_settings(arguments))
     if arguments.write_params:
         write_text(arguments.write_params, cell_file(result))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
-    return Outcome(partial(print_info, result), result, then=(
+    return Outcome(partial(print_info, result), result, (
         'Fill in the package there, then:',
         f'  bellows identify --params {arguments.write_params} --out cup.yaml{cell}',
     ) if arguments.write_params else ())
@@ -292,59 +238,32 @@ def identify(arguments: Any, console: 'Console') -> Outcome:
 
     Read on: docs/tutorial.md, docs/choosing.md
     """
-    from bellows_ros.core.geometry.jit import COMPILED, NOT_COMPILED
-    from bellows_ros.report.text import print_identification
-    from bellows_ros.workflows import identify as workflow
-    from bellows_ros.workflows.identification import save
-
-    settings = _identify_settings(arguments, console)
     if arguments.release:
-        return _identify_release(arguments, settings, console)
+        return _identify_release(arguments, console)
+    from bellows_ros.core.geometry.jit import COMPILED, NOT_COMPILED
+    from bellows_ros.files.parameter_files import names_in
+    from bellows_ros.report.text import print_identification
+    from bellows_ros.workflows.identification import save
+    from bellows_ros.workflows.identify import identify
+
+    settings = read_settings(arguments, 'identifier', outputs={
+        'out': 'output.parameters', 'out_cell': 'output.cell', 'json': 'output.json',
+        'report': 'output.report'})
     if not COMPILED and settings.get('fit.method', 'output_error') == 'output_error':
         console.warn(
             f'Nothing is compiled, as {NOT_COMPILED}: the fit takes about 15 s for each second '
             'recorded. Consider fit.method: least_squares.')
-    result = workflow.identify(settings, console.progress, arguments.params, arguments.jobs,
-                               arguments.dask, arguments.force)
-    if arguments.report:
-        from bellows_ros.report.build import write_page
-
-        write_page(result, arguments.report)
-    then, usable = _next_steps(arguments, result), not result.refusals
-    if not (usable or arguments.force and result.fit.usable):
+    result = identify(
+        settings, console.progress, arguments.jobs, arguments.dask, arguments.force)
+    then = _next_steps(arguments, result)
+    if not (result.succeeded or arguments.force and result.fit.usable):
         arguments.out = arguments.out_cell = ''
-    replaced = _names_in(arguments.out)
-    save(result, arguments.out, '', arguments.force, arguments.out_cell)
-    if lost := replaced - _names_in(arguments.out):
+    if lost := names_in(arguments.out) - {*result.parameters()}:
         console.warn(
             f'{", ".join(sorted(lost))} of the former {arguments.out} are not in the new one, '
             'which has the identified cup alone. State them in another file.')
-    return Outcome(partial(print_identification, result), result, usable, then,
-                   draw=arguments.plot)
-
-
-def _identify_settings(arguments: Any, console: 'Console') -> dict[str, Any]:
-    """Return all parameters; outputs that they name are outputs of the command."""
-    values = read_settings(arguments, 'identifier', console if arguments.release else None)
-    if arguments.bags:
-        values['bags'] = tuple(map(str, arguments.bags))
-    for option, name in {
-            'out': 'output.parameters', 'out_cell': 'output.cell', 'json': 'output.json',
-            'report': 'output.report'}.items() if not arguments.release else ():
-        chosen = getattr(arguments, option) or values.get(name, '')
-        values[name] = str(chosen)
-        setattr(arguments, option, Output(chosen))
-    require_outputs(arguments, inputs_of(values))
-    return values
-
-
-def _names_in(path: str) -> set[str]:
-    """Return the names of the parameters in a file; none if there is no such file."""
-    from bellows_ros.files.parameter_files import read_parameters
-
-    with suppress(BellowsError):
-        return {*read_parameters(path)} if path else set()
-    return set()
+    save(result, arguments.out, '', arguments.force, arguments.out_cell)
+    return Outcome(partial(print_identification, result), result, then)
 
 
 def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
@@ -373,9 +292,7 @@ def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
     ) if cell else ()))
 
 
-def _identify_release(
-    arguments: Any, settings: Mapping[str, Any], console: 'Console'
-) -> Outcome:
+def _identify_release(arguments: Any, console: 'Console') -> Outcome:
     """Identify the valve and write."""
     if excluded := [f'--{name}' for name in ('report', 'jobs', 'dask', 'plot')
                     if getattr(arguments, name)]:
@@ -385,10 +302,11 @@ def _identify_release(
     from bellows_ros.report.printed import print_release
     from bellows_ros.workflows.toss import identify_release
 
-    result = identify_release(settings, console.progress)
+    result = identify_release(
+        read_settings(arguments, 'identifier', console), console.progress)
     if arguments.out:
         write_parameters(arguments.out, result.parameters())
-    return Outcome(partial(print_release, result), result, inputs=result.bags)
+    return Outcome(partial(print_release, result), result)
 
 
 @command(
@@ -415,33 +333,18 @@ def replay(arguments: Any, console: 'Console') -> Outcome:
     Exit code 1: an axis that moves is above --limit; without it, above 5 % and 3 times what noise
     explains.
 
-    Read on: docs/validation.md, docs/with_a_camera.md
+    Read on: docs/tutorial.md, docs/with_a_camera.md
     """
-    from bellows_ros.core.identification.validation import MAX_NRMSE
-    from bellows_ros.files import atomic
+    from dataclasses import replace
+
     from bellows_ros.report.text import print_replay
-    from bellows_ros.workflows import replay as workflow
+    from bellows_ros.workflows.replay import replay as predict
 
-    settings = read_settings(arguments, cup_for=console)
-    result = workflow.replay(
-        arguments.bag, settings, console.progress, arguments.observe)
-    limit = MAX_NRMSE if arguments.limit is None else arguments.limit / 100.0
-    if arguments.report:
-        from bellows_ros.report.build import replay_page
-
-        atomic.write_text(arguments.report, replay_page(result, arguments.params))
-    failing = result.validation.failing(limit)
-    worse = failing if arguments.limit is not None else result.validation.worse_than_noise
-
-    def show(out: 'Console') -> None:
-        print_replay(result, out, limit)
-        if result.live:
-            out.paragraph(
-                f'The live prediction took {result.live.took:.2f} s, '
-                f'{result.live.real_time_factor:.0f} times faster than real time.')
-
-    return Outcome(show, result, not worse, draw=arguments.plot, content=result.as_json(
-        limit, arguments.params) if arguments.json else {})
+    result = predict(arguments.bag, read_settings(arguments, cup_for=console), console.progress,
+                     arguments.observe)
+    if arguments.limit is not None:
+        result = replace(result, limit=arguments.limit / 100.0)
+    return Outcome(partial(print_replay, result), result)
 
 
 @command(
@@ -513,7 +416,7 @@ def parameters(arguments: Any, console: 'Console') -> Outcome:
     if arguments.yaml:
         click.echo(template(chosen), nl=False)
     shown_here = [] if arguments.yaml or arguments.json else chosen
-    return Outcome(partial(print_parameters, shown_here), content={
+    return Outcome(partial(print_parameters, shown_here), {
         p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen})
 
 
@@ -528,7 +431,7 @@ def _mjcf(arguments: Any, console: 'Console') -> Outcome:
     atomic.write_text(arguments.mjcf, text)
     if lacking:
         console.warn(f'The model lacks {", ".join(lacking)}.')
-    return Outcome(lambda out: None, content={'file': arguments.mjcf, 'not_expressed': lacking})
+    return Outcome(lambda out: None, {'file': arguments.mjcf, 'not_expressed': lacking})
 
 
 @command(
@@ -565,25 +468,19 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
     from bellows_ros.workflows import plan as workflow
     from bellows_ros.workflows.steer import steer_plan
 
+    if arguments.steer and arguments.fastest:
+        raise BellowsError('--fastest is of the plan, not of --steer. Give one of both.')
     values = read_settings(arguments, cup_for=console)
     console.progress('planning')
-    limits, where = arguments.limits or '', (str(arguments.urdf or ''), arguments.topic)
-    if arguments.steer:
-        if arguments.fastest:
-            raise BellowsError('--fastest is of the plan, not of --steer. Give one of both.')
-        steered = steer_plan(arguments.plan, values, arguments.steer, limits, *where)
-        motion = steered.motions[steered.method]
-        done = Outcome(partial(print_steered, steered), steered)
-        if arguments.out:
-            workflow.write_prediction(arguments.out, steered.source, motion.tool,
-                                      motion.prediction.states, arguments.force)
-    else:
-        report = workflow.plan(arguments.plan, values, *where, arguments.fastest, limits)
-        done = Outcome(partial(print_plan, report), report, report.holds)
-        if arguments.out:
-            workflow.write_prediction(
-                arguments.out, report.source, *report.driven[:2], arguments.force)
-    return done._replace(inputs=[arguments.plan], draw=arguments.plot)
+    more = {'urdf': str(arguments.urdf or ''), 'topic': arguments.topic,
+            'limits': arguments.limits or ''}
+    result: Any = steer_plan(arguments.plan, values, arguments.steer, **more) if (
+        arguments.steer) else workflow.plan(
+            arguments.plan, values, seek_fastest=arguments.fastest, **more)
+    if arguments.out:
+        tool, states, *_ = result.driven
+        workflow.write_prediction(arguments.out, result.source, tool, states, arguments.force)
+    return Outcome(partial(print_steered if arguments.steer else print_plan, result), result)
 
 
 @command(
@@ -620,8 +517,7 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
         str(arguments.urdf or ''), arguments.topic)
     if arguments.out:
         write_toss(arguments.out, result, arguments.force)
-    return Outcome(partial(print_toss, result), result, result.reached, inputs=[arguments.plan],
-                   draw=arguments.plot)
+    return Outcome(partial(print_toss, result), result)
 
 
 @command(
@@ -652,12 +548,54 @@ def convert(arguments: Any, console: 'Console') -> Outcome:
     console.progress('converting')
     done = workflow.convert(
         arguments.sources, arguments.out, arguments.topic, arguments.markers, arguments.storage,
-        arguments.force, interval_settings(arguments))
-    return Outcome(partial(print_conversion, done), done, content=done.as_json(), then=(
+        arguments.force, read_settings(arguments))
+    return Outcome(partial(print_conversion, done), done, (
         'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
 
 
-# ------------------------------------------------------------------------------ inputs and outputs
+# ------------------------------------------------------------------------------- running a command
+
+
+def named_in(arguments: Any) -> list[Any]:
+    """Return the values of a command line, also those in tuples."""
+    return [item for value in vars(arguments).values()
+            for item in (value if isinstance(value, tuple) else [value])]
+
+
+def read_settings(
+    arguments: Any, node: str | None = None, cup_for: 'Console | None' = None,
+    outputs: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """
+    Return the parameters of the files, overridden by the command line; check the outputs.
+
+    Parameters
+    ----------
+    arguments : namespace
+        Values of the command line.
+    node : str, optional
+        Node whose part of a file is used.
+    cup_for : Console, optional
+        Console that warns at the end if there is no cup.
+    outputs : mapping of str to str
+        Parameters that name outputs, by the options that replace the parameters.
+
+    """
+    from bellows_ros.workflows.settings import inputs_of, settings_of
+
+    values = settings_of(arguments.params, arguments.overrides, {
+        '--from': f'recording.start={arguments.first}', '--to': f'recording.end={arguments.last}',
+        '--tool-link': f'tool_link={arguments.tool_link}'}, node)
+    if arguments.bags:
+        values['bags'] = tuple(map(str, arguments.bags))
+    for option, name in outputs.items():
+        values[name] = str(getattr(arguments, option) or values.get(name, ''))
+        setattr(arguments, option, Output(values[name]))
+    require_outputs([*named_in(arguments), *map(Path, inputs_of(values))], arguments.force)
+    if cup_for and 'cup.stiffness' not in values:
+        cup_for.final_warnings.append(
+            'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).')
+    return values
 
 
 def run_command(work: Callable[[Any, 'Console'], Outcome], arguments: Any) -> int:
@@ -668,25 +606,25 @@ def run_command(work: Callable[[Any, 'Console'], Outcome], arguments: Any) -> in
     from bellows_ros.files import results
     from bellows_ros.report.console import Console
 
-    require_outputs(arguments)
-    if getattr(arguments, 'plot', ''):
+    require_outputs(named_in(arguments), arguments.force)
+    if arguments.plot:
         from bellows_ros import plots
 
         plots.require_ending(arguments.plot)
-    if getattr(arguments, 'report', ''):
+    if arguments.report:
         require_pictures()
     console = Console()
     with console.asking(), console.progress:
         done = work(arguments, console)
-        if done.draw:
-            plots.write(done.draw, done.result)
+        if arguments.plot:
+            plots.write(arguments.plot, done.result)
+        if arguments.report:
+            from bellows_ros.report.build import write_page
+
+            write_page(done.result, arguments.report, arguments.params)
         if arguments.json:
-            content = done.content or {**results.plain(done.result), 'version': __version__}
-            more: dict[str, Any] = {} if done.inputs is None else {
-                'provenance': results.provenance(done.inputs, arguments.params)}
-            if console.asked and 'warnings' in content:
-                more['warnings'] = [*dict.fromkeys((*console.asked, *content['warnings']))]
-            results.write_json(arguments.json, {**content, **more})
+            results.write_json(arguments.json, results.of_command(
+                done.result, arguments.params, console.asked))
     written = [value for key, value in sorted(
         vars(arguments).items(), key=lambda item: item[0] == 'out') if isinstance(value, Output)]
     if STDOUT in written:
@@ -695,257 +633,7 @@ def run_command(work: Callable[[Any, 'Console'], Outcome], arguments: Any) -> in
     for line in *(f'Wrote {file}.' for file in written if file not in ('', STDOUT)), *done.then:
         console.line(line)
     console.warn(*console.final_warnings)
-    return OK if done.succeeded else NOT_USABLE
-
-
-def require_outputs(arguments: Any, inputs: Sequence[Any] = ()) -> None:
-    """
-    Check every output of a command line against all inputs, before any work.
-
-    Raises
-    ------
-    BellowsError
-        If a folder is missing, a path is not a file, two paths are equal, an output would replace
-        an input or be inside one, or binary output is for stdout.
-
-    """
-    from bellows_ros.files import atomic
-
-    named = [item for value in vars(arguments).values()
-             for item in (value if isinstance(value, tuple) else [value])]
-    read = [*inputs, *(item for item in named if isinstance(item, Path))]
-    outputs = [item for item in named if isinstance(item, Output) and item]
-    to_stdout = [name for name in outputs if name == STDOUT]
-    if len(to_stdout) > 1 or any(isinstance(name, Binary) for name in to_stdout):
-        raise BellowsError(
-            f"'{STDOUT}' is stdout, which has room for one output, of text: {len(to_stdout)} are "
-            'given. Give the others, and recordings and pictures, a name.')
-    targets = list[Path]()
-    for name in outputs:
-        if name == STDOUT:
-            continue
-        atomic.require_no_input(name, read)
-        if isinstance(name, Folder) and os.path.isdir(name):
-            require_absent(name, arguments.force)
-        target = Path(os.path.realpath((
-            atomic.require_folder_target if isinstance(name, Folder) else
-            atomic.require_file_target)(name)))
-        for other in targets:
-            if target == other or other in target.parents or target in other.parents:
-                raise BellowsError(
-                    f"Two outputs have the same name, or one is in the other: '{target}'. Rename "
-                    'one.')
-        targets.append(target)
-
-
-def require_absent(name: str, force: bool) -> None:
-    """Raise for an output that exists, unless it may be replaced."""
-    if name and os.path.exists(name) and not force:
-        raise BellowsError(
-            f"Output '{name}' exists. Give another name, or replace it with --force; what it "
-            'holds is then lost.')
-
-
-def read_settings(
-    arguments: Any, node: str | None = None, cup_for: 'Console | None' = None
-) -> dict[str, Any]:
-    """
-    Return the parameters of the files, overridden by the command line.
-
-    Parameters
-    ----------
-    arguments : namespace
-        `params`, files of which later ones override earlier ones; `overrides`, each 'name=value';
-        `first` and `last` of an interval, and `tool_link`, if any.
-    node : str, optional
-        Node whose part of a file is used.
-    cup_for : Console, optional
-        Console that warns at the end if there is no cup.
-
-    Raises
-    ------
-    BellowsError
-        If a file cannot be read, a name or value is invalid, or an output of the command line is
-        also an input by a parameter.
-
-    """
-    from bellows_ros.files.parameter_files import read_parameters
-
-    values: dict[str, Any] = {}
-    for file in arguments.params:
-        values.update(read_parameters(file, node))
-    values |= dict(map(parse_override, arguments.overrides)) | interval_settings(arguments)
-    if link := getattr(arguments, 'tool_link', ''):
-        values['tool_link'] = link
-    require_outputs(arguments, inputs_of(values))
-    if cup_for and 'cup.stiffness' not in values:
-        cup_for.final_warnings.append(
-            'cup.stiffness is not set: using the cup of the thesis, (4.78, 4.79).')
-    return values
-
-
-def inputs_of(values: Mapping[str, Any]) -> list[str]:
-    """Return the input files that parameters name."""
-    return [file for name in (
-        'bags', 'validation.bags', 'static.bags', 'static.files', 'package.files')
-        for file in values.get(name, ())]
-
-
-def interval_settings(arguments: Any) -> dict[str, Any]:
-    """Return the parameters that --from and --to set."""
-    return dict(parse_override(f'{name}={text}', option) for option, name, text in (
-        ('--from', 'recording.start', getattr(arguments, 'first', '')),
-        ('--to', 'recording.end', getattr(arguments, 'last', ''))) if text)
-
-
-def parse_override(text: str, option: str = '') -> tuple[str, Any]:
-    """
-    Return name and checked value of 'name=value', from --set or another option.
-
-    Lists are written as in YAML or without brackets: `package.com=[0, 0, -0.03]` or
-    `package.com=0,0,-0.03`.
-
-    Raises
-    ------
-    BellowsError
-        If there is no '=', or name or value are invalid.
-
-    """
-    from bellows_ros.core.parameters import checks, table
-
-    name, equals, value = (part.strip() for part in text.partition('='))
-    if not (name and equals):
-        raise BellowsError(
-            f"--set takes NAME=VALUE, got '{text}'. For example: --set fit.structure=full")
-    try:
-        parameter = table.lookup(name)
-        return parameter.name, checks.validate(name, _parsed(parameter.kind, value))
-    except BellowsError as error:
-        raise BellowsError(f'{option or f"--set {name}"}: {error}') from None
-
-
-def _parsed(kind: str, text: str) -> object:
-    """Return a value of a parameter's kind, or the text itself if invalid."""
-    if kind == 'bool':
-        return {'true': True, 'false': False}.get(text.lower(), text)
-    if kind.endswith('_array'):
-        kind = kind.removesuffix('_array')
-        items = text.removeprefix('[').removesuffix(']')
-        return [_parsed(kind, item.strip()) for item in (
-            items.split(',') if kind == 'string' else items.replace(',', ' ').split())
-            if item.strip()]
-    if kind == 'string':
-        quoted = len(text) >= 2 and text[0] == text[-1] and text[0] in '\'"'
-        return text[1:-1] if quoted else text
-    for number in (int, float):
-        with suppress(ValueError):
-            return number(text)
-    return text
-
-
-# -------------------------------------------------------------------------- exit codes and signals
-
-
-class Stopped(KeyboardInterrupt):
-    """
-    Exception for a received signal.
-
-    It is a subclass, since CPython ends a process with -SIGINT, regardless of its exit code, if
-    KeyboardInterrupt itself passes through an exec(), as in the definition of a dataclass.
-    """
-
-
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-TWICE = 0.5
-"""Time within which two signals count as one, s: both often come, and one cleanup is enough."""
-
-UNWRITABLE = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EPIPE))
-"""Errors of a stream that cannot be written; errors of files are a BellowsError."""
-
-
-@contextmanager
-def stopped_by_signals() -> 'Iterator[list[int]]':
-    """Raise `Stopped` at a signal, so that temporary files are removed; give the signals."""
-    received, last = list[int](), -TWICE
-
-    def stop(number: int, frame: 'FrameType | None') -> None:
-        nonlocal last
-        received.append(number)
-        before, last = last, time.monotonic()
-        if last - before > TWICE:
-            raise Stopped
-
-    handled = [number for number in STOP_SIGNALS if signal.getsignal(number) in (
-        signal.SIG_DFL, signal.default_int_handler)] if (
-            threading.current_thread() is threading.main_thread()) else []
-    previous = {number: signal.signal(number, stop) for number in handled}
-    try:
-        yield received
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, signal.SIG_IGN if received else handler)
-
-
-def guarded(work: Callable[[], int]) -> int:
-    """
-    Do some work; return the exit code, with a message for an error or a signal.
-
-    After a signal every exception counts as this interruption, because compiled code converts it
-    to other exceptions, and an exception in a callback of a library is lost.
-    """
-    if isinstance(sys.stdout, TextIOWrapper):  # for characters outside the encoding, as stderr
-        sys.stdout.reconfigure(errors='backslashreplace')
-    with stopped_by_signals() as received:
-        try:
-            code = work()
-            sys.stdout.flush()  # now, as an error at the very end could not be reported
-        except BaseException as error:  # noqa: B902, BLE001 (of compiled code too)
-            if not (received or isinstance(error, KeyboardInterrupt)):
-                return _code_of(error)
-            received.append(signal.SIGINT)
-    if not received:
-        return code
-    how = 'Interrupted' if received[0] == signal.SIGINT else (
-        f'Ended by {signal.Signals(received[0]).name}')
-    _say(f'{how}; every output file is whole, the old or the new one.')
-    return 128 + received[0]
-
-
-def _code_of(error: BaseException) -> int:
-    """Print an error; return its exit code."""
-    if isinstance(error, click.exceptions.Exit):
-        return error.exit_code
-    if isinstance(error, click.UsageError):
-        path = error.ctx.command_path if error.ctx else 'bellows'
-        _say(f'{path}: {error.format_message()}\nSee {path} --help.')
-        return USER_ERROR
-    if isinstance(error, OSError) and error.errno in UNWRITABLE:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # also at the very end
-        if isinstance(error, BrokenPipeError):  # the reader of the output has closed it
-            return 141  # exit code of SIGPIPE in a shell
-        _say(f'bellows: The output cannot be written: {error.strerror}. Write elsewhere.')
-        return USER_ERROR
-    if not isinstance(error, Exception):
-        raise error
-    jit: Any = sys.modules.get('bellows_ros.core.geometry.jit')
-    damaged = jit and jit.damage(error)
-    if isinstance(error, BellowsError) or damaged:
-        from bellows_ros.report.console import Console
-
-        Console().error(damaged or str(error))
-        if isinstance(error, NotSetError):
-            _say('Give the file with --params FILE, or a value with --set NAME=VALUE.')
-        return USER_ERROR if damaged else error.exit_code  # type: ignore[attr-defined]
-    traceback.print_exception(error)
-    _say(f'bellows: This is a defect of bellows_ros {__version__}: please report it, with the '
-         'command and the lines above.')
-    return CRASHED
-
-
-def _say(text: str) -> None:
-    """Print a message with words of the command line on stderr, if it can be written."""
-    with suppress(OSError):
-        click.echo(shown(text, 2500, '\n'), err=True)
+    return OK if getattr(done.result, 'succeeded', True) else NOT_USABLE
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -13,6 +13,7 @@ SENTENCES = 'sentences'
 ALLOWED = {
     '': {'library'},
     'errors': set(),
+    'exits': {'core', 'report'},
     SENTENCES: {'core'},
     'version': set(),
     'library': {'core', 'files', 'workflows', 'plots'},
@@ -22,7 +23,7 @@ ALLOWED = {
     'nodes': {'core', 'files', 'workflows', 'report', SENTENCES},
     'plots': {'core', 'files', 'workflows', SENTENCES},
     'report': {'core', 'files', 'workflows', 'plots', SENTENCES},
-    'cli': {'core', 'files', 'workflows', 'plots', 'report', 'nodes', SENTENCES},
+    'cli': {'core', 'exits', 'files', 'workflows', 'plots', 'report', 'nodes', SENTENCES},
     'demo': {'core', 'files', 'workflows', 'nodes', 'cli', 'plots', 'report', SENTENCES},
 }
 FOR_ALL = {'errors', 'version'}
@@ -39,6 +40,7 @@ LATE = {
         'bellows_ros.core.parameters.table', 'bellows_ros.files',
         'bellows_ros.nodes.guarding'),
     'bellows_ros/demo.py': ('bellows_ros.nodes.conversions',),
+    'bellows_ros/exits.py': ('bellows_ros.report.console',),
     'bellows_ros/workflows/identification.py': ('bellows_ros.workflows.replay',),
     'bellows_ros/workflows/identify.py': (
         'bellows_ros.workflows.replay', 'bellows_ros.workflows.workers'),

@@ -7,21 +7,37 @@ beside it.
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import combinations
 import os
 from pathlib import Path
 import secrets
 import shutil
 import sys
+from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 
 PREFIX = '.bellows-'
+STDOUT = '-'
+"""Name of standard output."""
+
+
+class Output(str):
+    """Name of a text file to write, `STDOUT` for standard output."""
+
+
+class Binary(Output):
+    """Name of a binary file to write."""
+
+
+class Folder(Binary):
+    """Name of a folder to write."""
 
 
 def write_text(path: File, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all, or '-' for stdout; see `write_bytes`."""
-    if path == '-':
+    if path == STDOUT:
         sys.stdout.write(text)
     else:
         write_bytes(path, text.encode())
@@ -153,6 +169,54 @@ def require_folder_target(path: File, follow: bool = False) -> Path:
         raise BellowsError(
             f"Output '{path}': folder '{target.parent}' does not exist. Make it first.")
     return target
+
+
+def require_outputs(named: Iterable[Any], force: bool = False) -> None:
+    """
+    Check all outputs of a command before any work.
+
+    Parameters
+    ----------
+    named : iterable
+        Values of a command line, of which `Output` are outputs and `Path` inputs.
+    force : bool
+        Whether an existing folder may be replaced.
+
+    Raises
+    ------
+    BellowsError
+        If a folder is missing, a path is not a file, two paths are equal, an output would replace
+        an input or be inside one, or binary output is for stdout.
+
+    """
+    named = list(named)
+    outputs = [name for name in named if isinstance(name, Output) and name]
+    on_stdout = [type(name) for name in outputs if name == STDOUT]
+    if on_stdout not in ([], [Output]):
+        raise BellowsError(
+            f"'{STDOUT}' is stdout, which has room for one output, of text: {len(on_stdout)} are "
+            'given. Give the others, and recordings and pictures, a name.')
+    targets = list[Path]()
+    for name in outputs:
+        if name == STDOUT:
+            continue
+        require_no_input(name, (name for name in named if isinstance(name, Path)))
+        is_folder = isinstance(name, Folder)
+        require_absent(name, force or not (is_folder and os.path.isdir(name)))
+        targets.append(Path(os.path.realpath(
+            require_folder_target(name) if is_folder else require_file_target(name))))
+    for one, other in combinations(targets, 2):
+        if one == other or one in other.parents or other in one.parents:
+            raise BellowsError(
+                f"Two outputs have the same name, or one is in the other: '{other}'. Rename one.")
+
+
+def require_absent(name: File, force: bool) -> None:
+    """Raise for an output that exists, unless it may be replaced."""
+    if name and os.path.exists(name) and not force:
+        raise BellowsError(
+            f"Output '{name}' exists. Give another name, or replace it with --force; what it "
+            'holds is then lost.')
 
 
 def require_no_input(path: File, inputs: Iterable[File]) -> None:

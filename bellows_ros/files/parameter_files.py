@@ -7,6 +7,7 @@ a decimal point.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from os.path import commonprefix
 from pathlib import Path
 import textwrap
@@ -91,6 +92,13 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
                     'Keep one.')
             values[name] = checked
     return values
+
+
+def names_in(path: File) -> set[str]:
+    """Return the names of the parameters in a file; none if it is no parameter file."""
+    with suppress(BellowsError):
+        return {*read_parameters(path)} if path else set()
+    return set()
 
 
 def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str] = ()) -> None:

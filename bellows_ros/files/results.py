@@ -155,10 +155,28 @@ def provenance(recordings: Iterable[File], parameter_files: Iterable[File] = ())
         If a file cannot be read.
 
     """
-    return {
-        'recordings': [{'path': os.fspath(p), 'files': digests(p)} for p in recordings],
-        'parameter_files': [{'path': os.fspath(p), 'files': digests(p)} for p in parameter_files],
-        'versions': versions()}
+    return {'recordings': listed(recordings), 'parameter_files': listed(parameter_files),
+            'versions': versions()}
+
+
+def listed(paths: Iterable[File]) -> list[dict[str, Any]]:
+    """Return paths with the digests of their files."""
+    return [{'path': os.fspath(path), 'files': digests(path)} for path in paths]
+
+
+def of_command(
+    result: Any, parameter_files: Iterable[File], asked: Iterable[str]
+) -> dict[str, Any]:
+    """Return the JSON content of a result, with its files and the printed questions."""
+    content = {**result} if isinstance(result, Mapping) else {
+        **plain(result), 'version': __version__}
+    if inputs := getattr(result, 'inputs', ()):
+        content['provenance'] = provenance(inputs)
+    if 'provenance' in content:
+        content['provenance'] |= {'parameter_files': listed(parameter_files)}
+    if 'warnings' in content:
+        content['warnings'] = [*dict.fromkeys((*asked, *content['warnings']))]
+    return content
 
 
 def versions() -> dict[str, str | None]:

@@ -73,7 +73,7 @@ def _value(node: Any, text: str, lines: dict[tuple[str, ...], int], keys: tuple[
     if text[node.start_mark.index:node.start_mark.index + 1] in ('&', '!'):
         raise _refused('tags (!name) and anchors (&name) are not allowed', node)
     if node.id == 'scalar':
-        return node.value if node.style else _plain(node.value)
+        return node.value if node.style else plain(node.value)
     if node.id == 'sequence':
         parent, last = keys[:-1], keys[-1] if keys else ''
         for number, item in enumerate(node.value):
@@ -97,7 +97,7 @@ def _refused(why: str, node: Any) -> MarkedYAMLError:
     return MarkedYAMLError(problem=why, problem_mark=node.start_mark)
 
 
-def _plain(text: str) -> Any:
+def plain(text: str) -> Any:
     """Return the value of a text without quotes."""
     if text[:1] in _NUMERIC:
         if _INTEGER.match(text):

@@ -40,9 +40,9 @@ def printed(show: Callable[[Writer], None]) -> str:
     return console.export_html(inline_styles=True, code_format='<pre>{code}</pre>')
 
 
-def identification_page(result: Identification) -> str:
+def identification_page(result: Identification, parameter_files: Sequence[File] = ()) -> str:
     """Return the page of a fit, with free simulations of its recordings."""
-    origin = dict(result.as_json()['provenance'])
+    origin = {**result.as_json()['provenance'], 'parameter_files': results.listed(parameter_files)}
     origin['recordings'] += results.provenance([v.bag for v in result.validations])['recordings']
     validations = (part for each in result.validations for part in _replay_parts(each))
     pictures = (_picture(each) for each in result.replays() if each not in result.validations)
@@ -57,9 +57,12 @@ def replay_page(result: Replay, parameter_files: Sequence[File] = ()) -> str:
         results.provenance([result.bag], parameter_files), result.values)])
 
 
-def write_page(result: Identification, path: File) -> None:
-    """Write the page of an identification; raise BellowsError if the file cannot be written."""
-    atomic.write_text(path, identification_page(result))
+def write_page(
+    result: Identification | Replay, path: File, parameter_files: Sequence[File] = ()
+) -> None:
+    """Write the page of a result; raise BellowsError if the file cannot be written."""
+    atomic.write_text(path, replay_page(result, parameter_files) if isinstance(
+        result, Replay) else identification_page(result, parameter_files))
 
 
 def _replay_parts(result: Replay) -> tuple[str, str]:
@@ -76,7 +79,7 @@ def _origin(provenance: Mapping[str, Any], values: Mapping[str, Any]) -> str:
     """Return digests of files, versions, and settings."""
     def show(out: Writer) -> None:
         out.line('Provenance', 'bold')
-        for entry in (*provenance['recordings'], *provenance.get('parameter_files', ())):
+        for entry in (*provenance['recordings'], *provenance['parameter_files']):
             for file in entry['files']:
                 out.line(f'{file["sha256"]}  {entry["path"]}, {file["name"]}')
         out.table([('', 'version'), *(

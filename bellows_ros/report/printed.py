@@ -162,8 +162,8 @@ def print_parameters(parameters: list[Parameter], out: Any) -> None:
 def print_release(result: ReleaseResult, out: Any) -> None:
     """Print the law with its errors, and its residuals for the drops of each mass."""
     fit, milli, names = result.fit, 1e3, list(RELEASE_UNITS)
-    out.line(
-        f'Release identified from {many(len(fit.drops), "drop")} in {listed(result.bags)}', 'bold')
+    out.line(f'Release identified from {many(len(fit.drops), "drop")} in '
+             f'{listed(result.inputs)}', 'bold')
     rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
     for k in set(range(len(names))) - set(fit.not_identifiable):
         factor, unit = display_unit(RELEASE_UNITS[names[k]])
@@ -264,7 +264,7 @@ def print_steered(report: SteerReport, out: Any) -> None:
         f'The tool moves at up to {figures["speed"]:.3g} m/s, {figures["acceleration"]:.3g} '
         f'm/s^2, {math.degrees(1.0) * figures["angular_speed"]:.3g} deg/s and '
         f'{math.degrees(1.0) * figures["angular_acceleration"]:.0f} deg/s^2.',
-        *report.notes)
+        *map(text_of, report.findings))
 
 
 def print_toss(result: TossResult, out: Any) -> None:

@@ -7,7 +7,6 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.identification.result import Fit, UNITS
-from bellows_ros.core.identification.validation import MAX_NRMSE
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import shown
@@ -246,7 +245,7 @@ def _print_samples(result: 'Identification', out: Any) -> None:
                 f'  {where}{stream["topic"]}: {", ".join(faults)}; {rejected} near these')
 
 
-def print_replay(result: 'Replay', out: Any, limit: float = MAX_NRMSE) -> None:
+def print_replay(result: 'Replay', out: Any) -> None:
     """Print the errors per axis and their meaning."""
     rest = result.validation.runs[0].start == 'equilibrium'
     out.line(f'Replay of {result.bag}', 'bold')
@@ -258,13 +257,15 @@ def print_replay(result: 'Replay', out: Any, limit: float = MAX_NRMSE) -> None:
     out.line()
     validation = result.validation
     out.paragraph(
-        text_of(validation.verdict(limit)),
+        text_of(validation.verdict(result.largest_nrmse)),
         f'{validation.scores.samples} samples compared.',
         *([text_of(result.margin.finding)] if result.margin else []),
         *map(text_of, offset_finding(result.bag, result.time_offset)))
     if result.live:
         counts = ', '.join(f'{count} {name}' for name, count in result.live.counts.items())
-        out.paragraph(f'Live, from the messages as they came: {counts}.')
+        out.paragraph(
+            f'Live, from the messages as they came: {counts}; '
+            f'{result.live.real_time_factor:.0f} times faster than real time.')
     if result.observed:
         _print_observed(result.observed, out)
     out.warn(*result.warnings)

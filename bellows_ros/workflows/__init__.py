@@ -22,6 +22,16 @@ class CommandResult:
     """Function that draws the result, set by `plots`."""
 
     @property
+    def inputs(self) -> tuple[File, ...]:
+        """Recordings and plans that the JSON file of a command names with their digests."""
+        return ()
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the exit code of a command is 0."""
+        return True
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """Facts on the result."""
         return ()

@@ -86,8 +86,6 @@ class Identification(CommandResult):
         Unusable recordings.
     assumed : tuple of str
         Sentences on values taken from the thesis for lack of given ones.
-    parameter_files : tuple of mapping
-        Path and digests of the parameter files.
 
     """
 
@@ -100,7 +98,6 @@ class Identification(CommandResult):
     verdict: FitVerdict | None = None
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
-    parameter_files: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def bags(self) -> tuple[str, ...]:
@@ -385,7 +382,7 @@ class Identification(CommandResult):
             'found_parameters': {
                 name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}
                 for name, (value, std, unit) in self.found.items()},
-            'usable': not self.refusals,
+            'usable': self.succeeded,
             'refusals': self.refusals,
             'verdict': self.verdict,
             'recordings': [part.report for part in self.parts],
@@ -395,7 +392,6 @@ class Identification(CommandResult):
             'settings': dict(self.values),
             'provenance': {
                 'recordings': [{'path': each.name, 'files': each.files} for each in recordings],
-                'parameter_files': self.parameter_files,
                 'versions': results.versions()},
             'failed': [{'bag': bag, 'error': reason} for bag, reason in self.failed],
             'version': __version__})
@@ -415,6 +411,11 @@ class Identification(CommandResult):
             with suppress(UnstableError):
                 yield validated(parameters[recording.name],
                                 as_found(recording, self.fit.nuisances, number))
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the cup is usable."""
+        return not self.refusals
 
     @property
     def refusals(self) -> tuple[str, ...]:

@@ -27,7 +27,6 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, require_pictures
-from bellows_ros.files import results
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
@@ -56,8 +55,7 @@ CAUSE_TESTS = 'testing possible causes'
 
 
 def identify(
-    settings: Mapping[str, Any], progress: Progress = no_progress,
-    parameter_files: Sequence[str | os.PathLike[str]] = (), jobs: int | None = None,
+    settings: Mapping[str, Any], progress: Progress = no_progress, jobs: int | None = None,
     dask: str = '', force: bool = False, poses: Mapping[str, Poses] | None = None
 ) -> identification.Identification:
     """
@@ -71,8 +69,6 @@ def identify(
         Parameters by name; others have their defaults.
     progress : callable, optional
         Callback with the current step and its completed fraction (0 to 1).
-    parameter_files : sequence of path, optional
-        Files of the settings, for the provenance.
     jobs : int, optional
         Number of processes on this machine that read and keep the recordings, -1 for one per core.
         An unusable recording is then reported and omitted.
@@ -104,10 +100,7 @@ def identify(
             _require_no_faults(parts, effective, FORCE)
         return _identify(
             values, effective, parts, static, progress, pairs,
-            failed=tuple(failed), assumed=(*_assumed(settings), *_doubts(values)),
-            parameter_files=tuple(
-                {'path': os.fspath(file), 'files': results.digests(file)}
-                for file in parameter_files))
+            failed=tuple(failed), assumed=(*_assumed(settings), *_doubts(values)))
 
 
 def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['Cluster | None']:

@@ -135,6 +135,28 @@ class Source:
         return conversion.grip_of(self.values)
 
 
+class OfPlan(CommandResult):
+    """A result on a plan."""
+
+    source: Source
+    """The plan."""
+
+    @property
+    def inputs(self) -> tuple[File, ...]:
+        """The file of the plan."""
+        return (self.source.path,)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the JSON files of plans have in common; SI units, null for unknown."""
+        return results.with_units({
+            **self.numbers(), 'plan': self.source.path, 'frame_id': self.source.frame_id,
+            'findings': [*map(entry, self.findings)], 'warnings': self.warnings})
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the numbers of the result by name."""
+        raise NotImplementedError
+
+
 class Curves(NamedTuple):
     """
     Deflection, loads and safety of a plan over time.
@@ -158,7 +180,7 @@ class Curves(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PlanReport(CommandResult):
+class PlanReport(OfPlan):
     """
     The effects of a plan on the package.
 
@@ -199,6 +221,11 @@ class PlanReport(CommandResult):
         """Whether the cup holds, unless unknown, and a safe time was found if searched."""
         held = self.prediction.grip is None or self.prediction.smallest_safety[0] >= 1.0
         return held and (self.fastest is not None or not self.sought)
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the cup holds."""
+        return self.holds
 
     @cached_property
     def driven(self) -> tuple[Trajectory, Array, str]:
@@ -256,10 +283,10 @@ class PlanReport(CommandResult):
                     'ends'] * (not prediction.ends_at_rest))}),
             outside_finding(self.outside))))
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file; SI units, null for unknown values."""
+    def numbers(self) -> dict[str, Any]:
+        """Return the numbers of the result by name."""
         prediction, fastest = self.prediction, self.fastest
-        return results.with_units({
+        return {
             'duration': self.source.duration, **prediction.summary(),
             'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
             'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
@@ -267,9 +294,7 @@ class PlanReport(CommandResult):
             **({'fastest_scale': fastest and fastest.scale,
                 'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
             'used_parts': self.used,
-            'plan': self.source.path, 'frame_id': self.source.frame_id,
-            'points': len(self.source.tool), 'least_safety_factor': self.least,
-            'findings': [*map(entry, self.findings)], 'warnings': self.warnings})
+            'points': len(self.source.tool), 'least_safety_factor': self.least}
 
 
 def plan(

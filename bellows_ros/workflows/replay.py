@@ -197,6 +197,8 @@ class Replay(CommandResult):
         Result of the live predictor, None if not requested.
     observed : Observed or None
         Result with measured poses of the package, None if not requested.
+    limit : float or None
+        Largest accepted NRMSE; None for `MAX_NRMSE` of errors that noise does not explain.
 
     """
 
@@ -207,6 +209,18 @@ class Replay(CommandResult):
     findings: tuple[Finding, ...] = ()
     live: Live | None = None
     observed: Observed | None = None
+    limit: float | None = None
+
+    @property
+    def largest_nrmse(self) -> float:
+        """Largest accepted NRMSE."""
+        return MAX_NRMSE if self.limit is None else self.limit
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the errors are within the limit, or explained by noise."""
+        return not (self.validation.worse_than_noise if self.limit is None else
+                    self.validation.failing(self.limit))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -243,9 +257,7 @@ class Replay(CommandResult):
         return (f'Validated on {self.bag}, error over motion: {", ".join(errors) or "unknown"}. '
                 f'{text(validation.verdict())}')
 
-    def as_json(
-        self, limit: float = MAX_NRMSE, parameter_files: Sequence[File] = ()
-    ) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         validation = self.validation
         return results.with_units({
@@ -257,8 +269,8 @@ class Replay(CommandResult):
             'model_error': validation.model_error,
             'moves': validation.moves,
             'corners': validation.corners,
-            'limit': limit,
-            'above_limit': validation.failing(limit),
+            'limit': self.largest_nrmse,
+            'above_limit': validation.failing(self.largest_nrmse),
             'start': validation.runs[0].start,
             'margin': self.margin,
             'time_offset': self.time_offset,
@@ -268,7 +280,7 @@ class Replay(CommandResult):
             'observed': self.observed,
             'warnings': self.warnings,
             'settings': dict(self.values),
-            'provenance': results.provenance([self.bag], parameter_files)})
+            'provenance': results.provenance([self.bag])})
 
 
 def replay(

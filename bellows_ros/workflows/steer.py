@@ -22,15 +22,14 @@ from bellows_ros.core.planning.plan_prediction import PlanPrediction, PlanSimula
 from bellows_ros.core.planning.points import joint_excess, timed
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
-from bellows_ros.files import File, results
-from bellows_ros.report.findings import text
-from bellows_ros.workflows import CommandResult
+from bellows_ros.files import File
 from bellows_ros.workflows.plan import (
     bending,
     extended,
     limits_in,
     MotionSource,
     NO_FACTOR,
+    OfPlan,
     plan_with_cup,
     Source,
 )
@@ -70,7 +69,7 @@ class SteeredMotion(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class SteerReport(CommandResult):
+class SteerReport(OfPlan):
     """
     A plan, and its steered motion.
 
@@ -114,22 +113,21 @@ class SteerReport(CommandResult):
             'shaped', Level.OK, {'residual': steered.residual, 'how': how}))
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences on the motion."""
-        return tuple(map(text, self.findings))
+    def driven(self) -> tuple[Trajectory, Array]:
+        """The written motion of the tool, and the states (N, 13) of the package."""
+        motion = self.motions[self.method]
+        return motion.tool, motion.prediction.states
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file; SI units, null for unknown values."""
-        return results.with_units({
+    def numbers(self) -> dict[str, Any]:
+        """Return the numbers of the result by name."""
+        return {
             'method': self.method, 'used': self.steered.method,
             **self.motions[self.method].summary(),
             'beside': {name: motion.summary() for name, motion in self.motions.items()
                        if name != self.method},
             'time_scale': self.time_scale, 'limit': self.limit,
             'modes': self.steered.modes,
-            'residual_swing': self.steered.residual,
-            'notes': self.notes,
-            'plan': self.source.path, 'frame_id': self.source.frame_id})
+            'residual_swing': self.steered.residual}
 
 
 def steer_plan(

@@ -22,7 +22,6 @@ from bellows_ros.core.toss import landing, release_fit
 from bellows_ros.core.toss.release import HeldMotion, NO_GRIP, Toss, toss
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import bags, File, messages, results
-from bellows_ros.report.findings import entry, warnings
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
 import numpy as np
@@ -52,7 +51,7 @@ class Share(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TossResult(CommandResult):
+class TossResult(plan.OfPlan):
     """A toss of a plan, with all requested results."""
 
     source: plan.Source
@@ -108,7 +107,7 @@ class TossResult(CommandResult):
                 shares.append(Share(name, float(std[0]) if len(std) == 1 else math.nan, *sizes))
         return sorted(shares, key=lambda share: -share.metres)
 
-    def as_json(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, Any]:
         """Return all numbers, SI units, twists and quaternions (x, y, z, w) of B in the world."""
         toss = self.toss
         content: dict[str, Any] = {
@@ -125,19 +124,17 @@ class TossResult(CommandResult):
             'tumbling': toss.tumbling,
             'drawn': len(self.scatter.errors), 'failed': self.scatter.failed,
             'budget': _budget(self.shares()),
-            'budget_of_groups': _budget(self.groups()),
-            'findings': [*map(entry, self.findings)], 'warnings': self.warnings,
-            'plan': self.source.path}
+            'budget_of_groups': _budget(self.groups())}
         if self.aim is not None:
             content['target'] = {
                 'position': list(self.aim.target), 'valve_time': self.aim.switched,
                 'distance': self.aim.distance, 'angle': self.aim.angle,
                 'distance_as_asked': self.distance_as_asked,
                 'units': {'distance_as_asked': 'm'}}
-        return results.with_units(content)
+        return content
 
     @property
-    def reached(self) -> bool:
+    def succeeded(self) -> bool:
         """Whether the target, if any, is in the 95 % ellipse of the landing."""
         return self.aim is None or bool(landing.coverage(
             self.covariance + TOLERANCE**2 * np.eye(6),
@@ -166,7 +163,7 @@ class TossResult(CommandResult):
             Finding('beyond_masses', Level.WARN, {'mass': values.package.mass, **dict(zip(
                 ('lightest', 'heaviest'), release.mass_range, strict=True))})
             if conversion.beyond_masses(values) else None,
-            None if self.aim is None or self.reached else Finding(
+            None if self.succeeded or not self.aim else Finding(
                 'out_of_reach', Level.WARN, {'distance': self.aim.distance}))))
 
 
@@ -276,7 +273,8 @@ def toss_plan(
 # ----------------------------------------------------------------------- release from drops
 
 
-class ReleaseResult(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ReleaseResult(CommandResult):
     """
     The law of release from recordings of drops.
 
@@ -302,6 +300,11 @@ class ReleaseResult(NamedTuple):
     values: Values
 
     @property
+    def inputs(self) -> tuple[str, ...]:
+        """All recordings."""
+        return self.bags
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the drops."""
         fit, count = self.fit, len(self.left_out)
@@ -313,11 +316,6 @@ class ReleaseResult(NamedTuple):
             Finding('unused_drops', Level.WARN, {
                 'count': count, 'all': count + len(self.used),
                 'reasons': '; '.join(self.left_out)}) if count else None)))
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences of the findings."""
-        return warnings(self.findings)
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
         """Return mass (kg), drops, release (s; NaN if later), and rms (m, m/s)."""

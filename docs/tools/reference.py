@@ -11,8 +11,9 @@ from pathlib import Path
 import re
 import sys
 
-from bellows_ros.cli import app, EXIT_CODES
+from bellows_ros.cli import app
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
+from bellows_ros.exits import EXIT_CODES
 from bellows_ros.files.atomic import write_text
 from bellows_ros.nodes.command import interface
 import click
@@ -132,7 +133,7 @@ def commands() -> Iterator[str]:
                 'and parameters in bash (`zsh_source` in zsh).', '')
     for name, command in app.commands.items():
         yield from (f'## bellows {name}', '')
-        for paragraph in inspect.cleandoc(command.help or '').split('\n\n'):
+        for paragraph in inspect.cleandoc((command.help or '').replace('\b\n', '')).split('\n\n'):
             head, _, lines = paragraph.partition('\n  ')
             yield from (head, '', *(('```text', inspect.cleandoc(f'  {lines}'), '```', '')
                                     if lines else ()))

@@ -10,12 +10,14 @@ import subprocess
 import sys
 import time
 
-from bellows_ros.cli import app, guarded, Output, parse_override
+from bellows_ros.cli import app
 from bellows_ros.core.geometry import jit
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.atomic import PREFIX
+from bellows_ros.exits import guarded
+from bellows_ros.files.atomic import Output, PREFIX
 from bellows_ros.report.console import Console
 from bellows_ros.report.text import column, with_error
+from bellows_ros.workflows.settings import parse_override
 import click
 import pytest
 
@@ -40,7 +42,7 @@ def test_help_teaches(quietly, columns, user_environment):
         assert command.get_short_help_str(200) in top and not command.short_help
         done = quietly(name, '--help')
         assert f'Usage: bellows {name}' in done.stdout and 'Read on: docs/' in done.stdout
-        assert f'\n  bellows {name} ' in done.stdout.partition('For example:')[2]
+        assert f'\n    bellows {name} ' in done.stdout.partition('For example:')[2]
         assert ('Exit code 1: ' in done.stdout) == (name in ('identify', 'plan', 'replay', 'toss'))
         assert '--json' in done.stdout and max(map(len, done.stdout.splitlines())) < 100
     assert '  130  interrupted' in top and '...' not in top.replace('[ARGS]...', '')

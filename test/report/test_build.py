@@ -21,8 +21,7 @@ def result(root):
     """Return the identification of a shipped recording, short for speed."""
     known = read_parameters(root / 'bags/package.yaml')
     return identify({**known, 'bags': [str(root / 'bags/validation')],
-                     'output.report': 'page.html', 'fit.method': 'least_squares'},
-                    parameter_files=[root / 'bags/package.yaml'])
+                     'output.report': 'page.html', 'fit.method': 'least_squares'})
 
 
 @pytest.fixture(scope='module')
