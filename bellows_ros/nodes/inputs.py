@@ -7,6 +7,7 @@ the prediction.
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from functools import partial
 import importlib.util
 import math
@@ -29,7 +30,6 @@ from .outputs import Predicting, QUEUE, Topic
 from ..core.findings import Finding, Level
 from ..core.geometry import lie
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import vacuum
 from ..core.observer.observer import Observer, VERDICTS
 from ..core.sensors.camera import TagCamera
 from ..core.signals import transforms
@@ -227,9 +227,7 @@ class Attachment:
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
             node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
-        self._refused = dict.fromkeys((
-            'nan', 'gauge', 'not_absolute', *(unit for unit, *_ in vacuum.AMBIENT_IN),
-            'no_such_cup'), 0)
+        self._refused = Counter[str]()
         self.signal = None if self._kind == 'none' else SensorInput(node, *{
             'bool': (Bool, 'vacuum/held', self._on_held),
             'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
@@ -292,11 +290,6 @@ class Observing:
     pipeline : Predicting
         Pipeline that processes the poses.
 
-    Attributes
-    ----------
-    is_ready : bool
-        Whether everything is compiled; measured poses are used from then on.
-
     """
 
     def __init__(self, pipeline: Predicting) -> None:
@@ -305,8 +298,8 @@ class Observing:
         self._live = pipeline.live
         kind = pipeline.values.measured.type
         self._with_covariance, self._published_ns = kind in ('pose_with_covariance', 'odometry'), 0
-        self._has_camera = self.is_ready = False
-        self._reported, self._tag, self._no_view = 0, TagCamera(), Counter[str]()
+        self._compiling, self._reported = Future[None](), 0
+        self._tag, self._no_view = TagCamera(), Counter[str]()
         self._child_frame = pipeline.values.measured.child_frame.lstrip('/')
         if kind == 'tf':
             self._measured_in = SensorInput(
@@ -329,20 +322,19 @@ class Observing:
         self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
 
     @property
+    def is_ready(self) -> bool:
+        """Whether everything is compiled; measured poses are used from then on."""
+        return self._compiling.done()
+
+    @property
     def _observer(self) -> Observer:
         """The observer that corrects the predictions."""
         return self._live.package.observer
 
     def _on_publishers(self, count: int) -> None:
         """Compile, in a thread, once a possible publisher appears."""
-        if count and not self._has_camera:
-            self._has_camera = True
-            self._pipeline.node.aside(self._make_ready)
-
-    def _make_ready(self) -> None:
-        """Compile; use measured poses from then on."""
-        self._pipeline.compile_filter()
-        self.is_ready = True
+        if count and not (self._compiling.running() or self._compiling.done()):
+            self._compiling = self._pipeline.node.aside(self._pipeline.compile_filter)
 
     def _on_measured(self, data: bytes) -> None:
         """Correct the prediction by a measured pose."""

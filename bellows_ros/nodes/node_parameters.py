@@ -32,13 +32,9 @@ def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.Parame
         read_only=read_only or parameter.read_only)
     low = parameter.above if parameter.minimum is None else parameter.minimum
     high = parameter.maximum
-    if low is not None and high is not None:  # of a single number; ROS has none for arrays
-        if parameter.kind == 'double':
-            described.floating_point_range = [
-                interfaces.FloatingPointRange(from_value=float(low), to_value=float(high))]
-        elif parameter.kind == 'integer':
-            described.integer_range = [
-                interfaces.IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    if parameter.kind == 'double' and not (low is None or high is None):  # none for arrays
+        described.floating_point_range = [
+            interfaces.FloatingPointRange(from_value=float(low), to_value=float(high))]
     return described
 
 

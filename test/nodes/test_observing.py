@@ -109,7 +109,8 @@ def test_counts_begin_again_with_the_observer(make_partner):
     predictor, observing = partner.predictor, partner.predictor.pipeline.observing
     start_ns = time.time_ns()
     bad_pose = placed(stamped(PoseStamped(), start_ns), ORIGIN, (0.0, 0.0, 0.0, 0.0))
-    observing._make_ready()
+    observing._on_publishers(1)
+    partner.wait(lambda: observing.is_ready)
     partner.predict(start_ns)
 
     def report(bad):
