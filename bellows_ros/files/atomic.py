@@ -106,8 +106,6 @@ def new_folder(path: File, replace: bool = False) -> Iterator[Path]:
                 os.fsync(stream.fileno())
         if replace and target.exists():
             os.rename(target, work / 'replaced')
-        if os.path.lexists(target):
-            raise FileExistsError(f"'{target}' has appeared in the meantime")
         os.rename(work / target.name, target)
 
 

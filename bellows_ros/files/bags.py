@@ -198,8 +198,8 @@ def read_contents(path: File, wanted: Mapping[str, str]) -> Contents:
     path : path
         rosbag2 folder, or a bare .mcap or .db3 file.
     wanted : mapping of role to topic
-        A role that ends in 'twist' is read as twists, one in 'wrench' as wrenches, in the
-        form of twists, any other as poses, and 'measured' as poses with their covariances, if any.
+        A role that ends in 'twist' is read as twists, any other as poses, and 'measured' as poses
+        with their covariances, if any.
         Topics are as recorded, optionally without a leading '/'. A role with the topic '' is
         omitted.
 
@@ -274,7 +274,5 @@ def absolute(topic: str) -> str:
 
 def accepted_types(role: str) -> tuple[str, ...]:
     """Return the message types from which a role can be read."""
-    if role.endswith('wrench'):
-        return (messages.WRENCH,)
     twists = role.endswith('twist')
     return tuple(name for name, x in messages.LAYOUTS.items() if (x.twist if twists else x.pose))

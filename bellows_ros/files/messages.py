@@ -315,11 +315,6 @@ def encode(stamps_ns: Indices, values: Array, names: tuple[str, ...], kind: str)
     return raw
 
 
-def encode_bool(value: bool) -> bytes:
-    """Return a std_msgs/Bool."""
-    return HEAD + bytes([value])
-
-
 Refused = dict[str, tuple[int, ...]]
 Frames = Sequence[tuple[str, ...]]
 
@@ -349,13 +344,13 @@ def stream_of(
     """
     name, kind = topic
     layout, is_measured = LAYOUTS[kind], role == 'measured'
-    in_pairs = role.endswith(('twist', 'wrench'))
-    part = (layout.twist or slice(0, 6)) if in_pairs else layout.pose or slice(0, 7)
+    is_twist = role.endswith('twist')
+    part = (layout.twist if is_twist else layout.pose) or slice(0)
     part = slice(part.start, part.stop + layout.pose_covariance * is_measured)
     frames: dict[tuple[str, ...], int] = {}
     decoded = decode(data, log_times_ns, layout, part, frames)
     order = np.argsort(decoded['stamp' if is_measured else 'arrival'], kind='stable')
-    make = twist_stream if in_pairs else pose_stream
+    make = twist_stream if is_twist else pose_stream
     stream: PoseStream | TwistStream = make(name, decoded[order], list(frames))
     if not len(stream):
         raise BellowsError(

@@ -73,14 +73,6 @@ def test_a_folder_that_exists_is_replaced_only_when_asked(tmp_path):
     assert os.listdir(path) == ['old']
 
 
-def test_a_folder_that_appears_meanwhile_is_not_touched(tmp_path):
-    path = tmp_path / 'bag'
-    with pytest.raises(BellowsError, match=f"'{path}'"), new_folder(path) as folder:
-        folder.mkdir()
-        path.mkdir()
-    assert os.listdir(tmp_path) == ['bag']
-
-
 def test_a_folder_replaces_neither_files_nor_links(tmp_path):
     (tmp_path / 'file').write_text('x')
     (tmp_path / 'real').mkdir()
@@ -88,13 +80,3 @@ def test_a_folder_replaces_neither_files_nor_links(tmp_path):
     for name in ('file', 'link', 'no/x'):
         with pytest.raises(BellowsError, match=name), new_folder(tmp_path / name, True):
             pass
-
-
-def test_a_replaced_folder_leaves_nothing_hidden(tmp_path):
-    path = tmp_path / 'bag'
-    path.mkdir()
-    (path / 'old').write_text('x')
-    with new_folder(path, replace=True) as folder:
-        folder.mkdir()
-        (folder / 'new').write_text('x')
-    assert os.listdir(path) == ['new'] and os.listdir(tmp_path) == ['bag']

@@ -1,16 +1,13 @@
 """Reading recordings that rosbags wrote, in every storage and compression, and what is refused."""
 
-import hashlib
 import json
 import re
-import shutil
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import read_streams, topics
 from bellows_ros.files.messages import REASONS
-from bellows_ros.files.results import digests
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -146,29 +143,6 @@ def test_messages_come_in_the_order_they_were_received_in(tmp_path):
         assert_array_equal(stream.stamps_ns, made.stamps(6)[[0, 2, 3, 5]])
 
 
-def test_one_topic_may_serve_two_roles(tmp_path):
-    messages = made.poses(50)
-    messages[3] = (messages[3][0], faulty(3, 'malformed'))
-    messages[20] = (messages[20][0], faulty(20, 'frame_id'))
-    path = one_topic(tmp_path / 'b', messages, storage='sqlite3')
-    streams = read_streams(path, {'p': 'a', 'q': '/a'})
-    for stream in streams.values():
-        assert stream.refused == {'malformed': (3,), 'frame_id': (20,)}
-        kept = np.setdiff1d(np.arange(50), [3, 20])
-        assert_array_equal(stream.position, made.pose_values(50)[kept, :3])
-
-
-def test_a_recording_in_several_files_is_one(tmp_path):
-    messages = made.poses(30)
-    folder = one_topic(tmp_path / 'first', messages[:10])
-    for i, part in ((1, messages[10:20]), (2, messages[20:])):
-        more = made.storage_file(one_topic(tmp_path / f'more{i}', part))
-        shutil.copy(more, folder / f'first_{i}.mcap')
-    change_metadata(folder, relative_file_paths=['first.mcap', 'first_1.mcap', 'first_2.mcap'])
-    stream = read_streams(folder, {'p': 'a'})['p']
-    assert_array_equal(stream.position, made.pose_values(30)[:, :3])
-
-
 def test_what_is_no_recording_is_refused(tmp_path):
     """Also a device; and a name of thousands of letters is not repeated."""
     for path in (tmp_path, tmp_path / 'nothing', 'nul\0byte', '/dev/zero', 'a' * 5000):
@@ -227,32 +201,7 @@ def test_damaged_metadata_is_refused(folder, names):
     assert len(read_streams(folder, {'p': 'a'})['p']) == 4
 
 
-@pytest.mark.parametrize('data', [b'- 1', b'a: [', b'\xff\xfe\0'])
-def test_metadata_that_is_no_metadata_is_refused(folder, data):
-    (folder / 'metadata.yaml').write_bytes(data)
-    assert 'reindex' in error_of(folder)
-
-
 def test_a_bag_of_ros_1_is_refused_with_how_to_convert_it(tmp_path):
     path = tmp_path / 'old.bag'
     path.write_bytes(b'#ROSBAG V2.0\n' + bytes(200))
     assert 'rosbags-convert --src' in error_of(path)
-
-
-def test_a_folder_gives_every_file_in_order(tmp_path):
-    """Sort by name, leave folders in it out, and read files larger than one chunk whole."""
-    (tmp_path / 'inner').mkdir()
-    large = bytes(range(256)) * 10_000
-    (tmp_path / 'b').write_bytes(large)
-    (tmp_path / 'a').write_bytes(b'')
-    found = digests(tmp_path)
-    assert [entry['name'] for entry in found] == ['a', 'b']
-    assert found[1]['sha256'] == hashlib.sha256(large).hexdigest()
-    assert found[1]['bytes'] == len(large)
-    assert digests(tmp_path / 'b') == found[1:]
-
-
-def test_a_missing_file_is_named(tmp_path):
-    """Say which one."""
-    with pytest.raises(BellowsError, match='nowhere'):
-        digests(tmp_path / 'nowhere')

@@ -123,12 +123,6 @@ def test_named_cups_come_back(tmp_path):
         name: value for name, value in resolve({**PACKAGE, **NAMED}).items() if value != ()}
 
 
-def test_no_parameter_has_the_name_of_a_group():
-    groups = {name.rsplit('.', depth)[0] for name in PARAMETERS for depth in range(1, 4)
-              if name.count('.') >= depth}
-    assert not groups & set(PARAMETERS)
-
-
 @settings(deadline=None)
 @given(strategies.floats(1e-300, 1e4, exclude_min=True))
 def test_doubles_keep_every_digit_and_their_point(value):

@@ -152,12 +152,6 @@ def test_bodies_are_read_and_bad_frames_left_out(tmp_path):
     assert tool.stamps_ns[0] == 1_620_743_465_250_000_000
 
 
-def test_fewer_markers_may_be_allowed(tmp_path):
-    """Keep the pose that was made of two markers."""
-    tool, _ = read_motive(export(tmp_path / 'take.csv'), min_markers=2)
-    assert tool.left_out == {} and len(tool.stamps_ns) == 4
-
-
 @pytest.mark.parametrize(('change', 'named'), [
     (('Quaternion', 'XYZ'), "Rotation Type 'XYZ'.* Quaternion"),
     (('Global', 'Local'), "Coordinate Space 'Local'.* Global"),

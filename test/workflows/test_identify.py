@@ -8,7 +8,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.bags import read_streams
-from bellows_ros.files.messages import BOOL, encode_bool
+from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.report.build import write_page
@@ -249,7 +249,7 @@ def test_only_the_holds_of_a_recording_of_work_are_fitted(root, tmp_path, method
         as_messages(CLEAN['topics.tool_twist'], TWIST, twist.stamps_ns,
                     np.hstack([twist.linear, twist.angular])),
         Encoded('/vacuum/held', BOOL, stamps_ns, [
-            encode_bool(each) for each in held(stamps_ns).tolist()])])
+            HEAD + bytes([each]) for each in held(stamps_ns).tolist()])])
     given = {**read_parameters(root / 'bags' / 'package.yaml'), 'fit.method': method,
              'bags': [str(tmp_path / 'work')], 'vacuum.signal': 'bool'}
     fit = identify(given).fit

@@ -4,7 +4,7 @@ from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.messages import BOOL, encode_bool
+from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.workflows.info import info, longest_hold
 import numpy as np
 import pytest
@@ -180,7 +180,7 @@ def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside
 def test_a_vacuum_is_no_valve(m, tmp_path, signal, topic, kind):
     """Propose the signal of the node for it, and leave the valve open."""
     stamps = START_NS + np.rint(m['t'][::100] * 1e9).astype(np.int64)
-    switch = Encoded(topic, kind, stamps, [encode_bool(True)] * len(stamps))
+    switch = Encoded(topic, kind, stamps, [HEAD + bytes([True])] * len(stamps))
     found = described(
         tmp_path, poses('/tcp/pose', m['t'], m['o'], m['R']),
         poses('/box/pose', m['t'], m['o_p'], m['R_p']), switch)

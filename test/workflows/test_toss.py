@@ -7,7 +7,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import NoTopicError
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.messages import BOOL, encode_bool, POSE
+from bellows_ros.files.messages import BOOL, HEAD, POSE
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.toss import identify_release, toss_plan
 import numpy as np
@@ -41,7 +41,7 @@ def recorded(tmp_path_factory):
     write_bag(bag, [
         as_messages('/tool_arm/pose', POSE, stamps_ns, poses[0]),
         as_messages('/package/pose', POSE, stamps_ns, poses[1]),
-        Encoded('/vacuum/valve', BOOL, off_ns, [encode_bool(k % 2 == 0) for k in range(8)])],
+        Encoded('/vacuum/valve', BOOL, off_ns, [HEAD + bytes([k % 2 == 0]) for k in range(8)])],
         'mcap', False, True)
     return VALUES.replaced({
         'bags': [str(bag)], 'cup.length': 0.05, 'package.com': (0.0, 0.0, 0.0),
