@@ -42,6 +42,34 @@ THREADS = 2
 """Threads of work aside: one may compile for a minute while the other answers."""
 
 
+class Once:
+    """
+    Work of a node, done aside at the first peer of a topic.
+
+    Parameters
+    ----------
+    node : GuardedNode
+    work : callable, optional
+        Function without arguments; default: none.
+
+    """
+
+    def __init__(self, node: 'GuardedNode', work: Callable[[], None] | None = None) -> None:
+        self._node, self._work, self._done = node, work, Future[None]()
+        if work is None:
+            self._done.set_result(None)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the work is done."""
+        return self._done.done()
+
+    def on_peers(self, count: int) -> None:
+        """Begin with the work, if there are peers for the first time."""
+        if count and self._work and not self.is_done:
+            self._done, self._work = self._node.aside(self._work), None
+
+
 class GuardedNode(Node):
     """
     A node whose callbacks may fail.

@@ -7,7 +7,6 @@ the prediction.
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from functools import partial
 import importlib.util
 import math
@@ -19,13 +18,14 @@ from bellows_ros.files.messages import DETECTIONS, LAYOUTS, LIP_FRAME, TRANSFORM
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, FluidPressure
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from . import conversions
 from .conversions import quaternion_xyzw, reader, stamp_to_ns, TOOL_POSES, type_name, vector
-from .guarding import GuardedNode
+from .guarding import GuardedNode, Once
 from .outputs import Predicting, QUEUE, Topic
 from ..core.findings import Finding, Level
 from ..core.geometry import lie
@@ -78,7 +78,8 @@ class SensorInput:
         self._subscription = node.create_subscription(
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
-            on_publishers=on_publishers, raw=type_name(kind) in LAYOUTS.keys() - {TRANSFORMS})
+            on_publishers=on_publishers,
+            raw=self._type in LAYOUTS.keys() - {TRANSFORMS} | {DETECTIONS})
         self.topic = str(self._subscription.topic_name)
 
     def note(self, stamp_ns: int | None = None) -> int:
@@ -115,13 +116,15 @@ class SensorInput:
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
     def _mismatch(self, publishers: int) -> Finding | None:
-        """Return the finding on an incompatible publisher, if any."""
+        """Return the finding on an incompatible or a second publisher, if any."""
         asked = self._subscription.qos_profile
         may_miss = self._type == 'std_msgs/msg/Bool' and self.last_ns < 0 and (
             asked.durability == DurabilityPolicy.VOLATILE)
-        if not may_miss and self._subscription.get_publisher_count() >= publishers:
+        is_alone = publishers < 2 or self._type == TRANSFORMS  # /tf is shared
+        if not may_miss and is_alone and self._subscription.get_publisher_count() >= publishers:
             return None
-        for other in self._node.get_publishers_info_by_topic(self.topic):
+        others = self._node.get_publishers_info_by_topic(self.topic)
+        for other in others:
             offered = other.qos_profile
             if may_miss and offered.durability == DurabilityPolicy.TRANSIENT_LOCAL:
                 return health.fact('qos', topic=self.topic, name='durability')
@@ -132,7 +135,8 @@ class SensorInput:
                     ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
                 if (getattr(asked, name), getattr(offered, name)) == mismatch:
                     return health.fact('qos', topic=self.topic, name=name)
-        return None
+        return None if is_alone else health.fact('publishers', topic=self.topic, names=', '.join(
+            sorted({shown(other.node_name) for other in others})))
 
 
 def optional_type(name: str, setting: str, topic: str) -> type:
@@ -281,6 +285,22 @@ class Attachment:
             latched=self._kind == 'bool')
 
 
+MEASURED = 'package/measured'
+"""Topic of the poses of the package, or of its tag."""
+
+MAX_WRENCHES = 64
+"""Number of wrenches used for each pose of the tool, so that its poses keep their rate: sensors
+send at most 7 kHz, arms at least 125 Hz."""
+
+MAX_MEASURED = 10
+"""Number of measured poses used for each pose of the tool: trackers send at most 500 Hz, arms at
+least 50 Hz."""
+
+MAX_VIEWS = 1
+"""Number of views of a tag used for each pose of the tool: a view takes 1 ms, and cameras are
+slower than arms."""
+
+
 class Observing:
     """
     Subscriber to measured poses of the package, and the outputs of the observer.
@@ -298,55 +318,68 @@ class Observing:
         self._live = pipeline.live
         kind = pipeline.values.measured.type
         self._with_covariance, self._published_ns = kind in ('pose_with_covariance', 'odometry'), 0
-        self._compiling, self._reported = Future[None](), 0
+        self._compiling, self._reported = Once(node, pipeline.compile_filter), 0
         self._tag, self._no_view = TagCamera(), Counter[str]()
         self._child_frame = pipeline.values.measured.child_frame.lstrip('/')
-        if kind == 'tf':
-            self._measured_in = SensorInput(
-                node, optional_type(TRANSFORMS, 'measured.type is tf', 'package/measured'), '/tf',
-                self._on_transforms, self._on_publishers)
-        elif kind == 'detections':
-            self._measured_in = SensorInput(
-                node, optional_type(DETECTIONS, 'measured.type is detections', 'package/measured'),
-                'package/measured', self._on_detections, self._on_publishers)
+        topic, most, use = {
+            'tf': ('/tf', math.inf, self._on_transforms),
+            'detections': (MEASURED, MAX_VIEWS, self._on_detections),
+        }.get(kind, (MEASURED, MAX_MEASURED, self._on_measured))
+        self._type = TOOL_POSES.get(kind) or optional_type(
+            TRANSFORMS if kind == 'tf' else DETECTIONS, f'measured.type is {kind}', MEASURED)
+        self._measured_in = SensorInput(
+            node, self._type, topic, self._limited(most, self._no_view, use),
+            self._compiling.on_peers)
+        if kind == 'detections':
             SensorInput(node, CameraInfo, 'package/camera_info', self._on_camera_info)
-        else:
-            self._read = reader(TOOL_POSES[kind])
-            self._measured_in = SensorInput(
-                node, TOOL_POSES[kind], 'package/measured', self._on_measured,
-                self._on_publishers)
+        elif kind != 'tf':
+            self._read = reader(self._type)
         self._read_wrench, self._no_wrench = reader(WrenchStamped), Counter[str]()
         self._wrench_in = SensorInput(
-            node, WrenchStamped, 'tool_arm/wrench', self._on_wrench, self._on_publishers)
+            node, WrenchStamped, 'tool_arm/wrench',
+            self._limited(MAX_WRENCHES, self._no_wrench, self._on_wrench),
+            self._compiling.on_peers)
         self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
         self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
 
     @property
     def is_ready(self) -> bool:
         """Whether everything is compiled; measured poses are used from then on."""
-        return self._compiling.done()
+        return self._compiling.is_done
 
     @property
     def _observer(self) -> Observer:
         """The observer that corrects the predictions."""
         return self._live.package.observer
 
-    def _on_publishers(self, count: int) -> None:
-        """Compile, in a thread, once a possible publisher appears."""
-        if count and not (self._compiling.running() or self._compiling.done()):
-            self._compiling = self._pipeline.node.aside(self._pipeline.compile_filter)
+    def _limited(
+        self, most: float, refused: Counter[str], use: Callable[[Any], None]
+    ) -> Callable[[Any], None]:
+        """Return a callback that uses at most so many messages for each pose of the tool."""
+        poses = count = 0
+
+        def on_message(message: Any) -> None:
+            nonlocal poses, count
+            if not self.is_ready:
+                return
+            before, poses = poses, self._live.tool.poses
+            count = count + 1 if poses == before else 1
+            if count <= most:
+                use(message)
+            else:
+                refused['too_many'] += 1
+
+        return on_message
 
     def _on_measured(self, data: bytes) -> None:
         """Correct the prediction by a measured pose."""
-        if not self.is_ready:
-            return
         stamp_ns, (frame_id, *_), numbers = self._read(data)
         covariance = np.reshape(numbers[7:43], (6, 6)) if self._with_covariance else None
         self._correct(stamp_ns, frame_id, (numbers[:3], numbers[3:7]), covariance)
 
     def _on_wrench(self, data: bytes) -> None:
         """Correct the prediction by a wrench of the force-torque sensor."""
-        if not (self.is_ready and self._pipeline.node.is_active):
+        if not self._pipeline.node.is_active:
             return
         stamp_ns, (frame_id,), numbers = self._read_wrench(data)
         self._wrench_in.note(stamp_ns)
@@ -364,7 +397,7 @@ class Observing:
 
     def _on_transforms(self, message: Any) -> None:
         """Correct the prediction by the frame of a tag, in its parent."""
-        for each in message.transforms if self.is_ready else ():
+        for each in message.transforms:
             if each.child_frame_id.lstrip('/') == self._child_frame:
                 header, transform = each.header, each.transform
                 self._correct(stamp_to_ns(header.stamp), header.frame_id, (
@@ -377,13 +410,11 @@ class Observing:
         except BellowsError as error:
             self._pipeline.node.get_logger().error(str(error), throttle_duration_sec=30.0)
 
-    def _on_detections(self, message: Any) -> None:
+    def _on_detections(self, data: bytes) -> None:
         """Correct the prediction by the corners of a tag, in its camera."""
-        if not self.is_ready:
-            return
+        message = deserialize_message(data, self._type)
         given, stamp_ns = self._pipeline.values.measured, stamp_to_ns(message.header.stamp)
-        seen = self._tag.pose(
-            message, given.tag_size, given.child_frame)
+        seen = self._tag.pose(message, given.tag_size, given.child_frame)
         if not isinstance(seen, str):
             position, rotation = seen
             self._correct(stamp_ns, message.header.frame_id, (
@@ -412,12 +443,9 @@ class Observing:
             node.note_frame(
                 frame_id, self._measured_in.topic, 'its frame is that of the tool poses')
             if not same_frame(frame_id, live.frame_id):
-                node.get_logger().warning(
-                    f"package/measured is in frame '{shown(frame_id)}', the tool in "
-                    f"'{shown(live.frame_id)}', so its poses are not used. Set "
-                    'recording.package_world to the pose of the first frame in the second, as '
-                    'estimated by bellows identify.',
-                    throttle_duration_sec=10.0)
+                node.get_logger().warning(findings.text(health.fact(
+                    'measured_frame', topic=self._measured_in.topic, frame=shown(frame_id),
+                    tool=shown(live.frame_id))), throttle_duration_sec=10.0)
         self._publish_payload()
 
     def _publish_payload(self) -> None:

@@ -5,6 +5,7 @@ Markers for RViz are the package as a box with its mass and inertia, the cup, an
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 import importlib.util
 from typing import Any, Self
 
@@ -14,13 +15,14 @@ from geometry_msgs import msg as geometry
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.exceptions import InvalidHandle
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import Bool, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import odometry
-from .guarding import LATCHED
+from .guarding import LATCHED, Once
 from .node_parameters import ManagedNode
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import LivePredictor, Prediction, uncertainty, vacuum
@@ -105,8 +107,6 @@ class Topic:
     ----------
     subscribed : bool
         Whether there is a subscriber.
-    is_ready : bool
-        Whether everything is compiled.
 
     """
 
@@ -116,19 +116,24 @@ class Topic:
     ) -> None:
         self._kind, self.name, self._make = kind, name, make
         self._qos, self._prepare = qos or QoSProfile(depth=QUEUE), prepare
-        self.subscribed, self.is_ready = False, prepare is None
+        self.subscribed = False
         if make:
             make(uncertainty.STILL)
 
     def advertise(self, node: ManagedNode) -> Self:
         """Create the publisher."""
-        self._node = node
+        self._node, self._prepared = node, Once(node, self._prepare)
         self._publisher = node.create_lifecycle_publisher(
             self._kind, self.name, self._qos,
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self.name = str(self._publisher.topic_name)
         return self
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether everything is compiled."""
+        return self._prepared.is_done
 
     def send(self, prediction: Prediction) -> None:
         """Publish the message of a prediction, if there is a subscriber."""
@@ -138,23 +143,15 @@ class Topic:
     def publish(self, message: Any) -> None:
         """Send a message or its bytes; a failure is recorded, without effect on other topics."""
         try:
-            self._publisher.publish(message)
+            with suppress(InvalidHandle):  # of a thread that answers while the node ends
+                self._publisher.publish(message)
         except Exception as error:  # noqa: BLE001 (of the middleware)
             self._node.note_failure(error, self.name)
 
     def _on_matched(self, matched: Any) -> None:
         """Update the presence of subscribers; prepare the messages at the first one."""
         self.subscribed = matched.current_count > 0
-        prepare = self._prepare
-        if not (self.subscribed and prepare):
-            return
-        self._prepare = None
-
-        def make_ready() -> None:
-            prepare()
-            self.is_ready = True
-
-        self._node.aside(make_ready)
+        self._prepared.on_peers(matched.current_count)
 
 
 class Outputs:

@@ -106,7 +106,7 @@ class Pipeline(Predicting):
         """Return restarts by reason, poses, and poses without a twist, since the last call."""
         live, before = self.live, self._reported
         self._reported = Counter(
-            {**live.restarts, 'poses': live.poses_in, 'alone': live.twists_estimated})
+            {**live.restarts, 'poses': live.tool.poses, 'alone': live.tool.motion.estimated})
         return self._reported - before
 
     def stop(self) -> None:
@@ -245,13 +245,13 @@ class Pipeline(Predicting):
             self.use_values()
         if not self.node.is_active or self._was_late:
             return
-        live = self.live
-        if live.pairing.waiting and (
-                self._ticked_ns - (live.arrivals.newest_ns or 0) >= MAX_SILENCE_NS):
+        live, arrivals = self.live, self.live.tool.arrivals
+        if live.tool.pairing.waiting and (
+                self._ticked_ns - (arrivals.newest_ns or 0) >= MAX_SILENCE_NS):
             self.publish(live.flush)
-        if live.arrivals.newest_ns == self._arrival_at_last_tick:
+        if arrivals.newest_ns == self._arrival_at_last_tick:
             self.publish(live.coast, self._ticked_ns)
-        self._arrival_at_last_tick = live.arrivals.newest_ns
+        self._arrival_at_last_tick = arrivals.newest_ns
         self.report(live.state)
         self.publish_state()
         if held := self.latest:

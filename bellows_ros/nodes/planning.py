@@ -12,7 +12,7 @@ import numpy as np
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from .guarding import LATCHED
+from .guarding import LATCHED, Once
 from .outputs import Predicting, Topic
 from ..core.findings import Finding, Level
 from ..core.geometry.arrays import Mask
@@ -61,7 +61,7 @@ class Planning:
                 (MultiDOFJointTrajectory, 'package/plan'), (Path, 'package/plan_path'),
                 (MultiDOFJointTrajectory, 'tool_arm/steered'),
                 (JointTrajectory, 'tool_arm/steered_joints')))
-        self._urdf, self._warming = '', Future[None]()
+        self._urdf, self._warming = '', Once(node, self._warm_up)
         self._stop, self._answering = np.zeros(1, np.bool_), Future[None]()
         self._outcome: PlanPrediction | Status | None = None
         sys.setswitchinterval(5e-5)  # s; limits the wait of the live prediction
@@ -70,7 +70,7 @@ class Planning:
                                   (JointTrajectory, 'tool_arm/plan_joints', self._of_joints)):
             node.create_subscription(
                 kind, topic, partial(self._on_plan, read), 10,
-                on_publishers=self._on_publishers, raw=True)
+                on_publishers=self._warming.on_peers, raw=True)
         node.create_subscription(String, 'robot_description', self._on_description, LATCHED)
 
     def forget(self) -> None:
@@ -82,18 +82,13 @@ class Planning:
     def _on_plan(self, read: Read, data: bytes) -> None:
         """Answer a plan, instead of the one before, in a thread."""
         self.forget()
-        if not self._warming.done():
+        if not self._warming.is_done:
             self._pipeline.node.get_logger().info(
                 'A plan waits until its answer is compiled (once a version, up to a minute).')
         self._answering = self._pipeline.node.aside(self._answer, read, data, self._stop)
 
-    def _on_publishers(self, count: int) -> None:
-        """Compile the answers with an example, in the thread, once a publisher appears."""
-        if count and not (self._warming.running() or self._warming.done()):
-            self._warming = self._pipeline.node.aside(self._warm_up)
-
     def _warm_up(self) -> None:
-        """Answer an example, unless the cup cannot hold the package."""
+        """Compile the answers with an example, unless the cup cannot hold the package."""
         poses = np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1))
         still = plan_of(np.arange(9) * 50_000_000, poses, np.zeros((9, 6)))
         with suppress(BellowsError):

@@ -323,12 +323,12 @@ class Diagnostics:
         counts = {**live.counts, **{f'failed: {k}': n for k, n in self._node.failures.items()}}
         phase = live.phase(time.monotonic_ns())
         lines = [health.Status('prediction', health.prediction_finding(
-            state, phase, restarts, live.tool.verdict != 'does_not_fit',
+            state, phase, restarts, live.tool.motion.verdict != 'does_not_fit',
             live.package.has_covariance, above), {
                 'lifecycle': state, 'phase': phase, 'cup': pipeline.values.cup.name or 'cup.*',
                 **health.quantiles(
                     'compute time {} (us)', health.taken(pipeline.compute), 1e6),
-                'twists against poses': live.tool.verdict,
+                'twists against poses': live.tool.motion.verdict,
                 **{name: str(count) for name, count in counts.items()}})]
         if state != 'active':
             return lines
@@ -351,8 +351,9 @@ class Diagnostics:
             pipeline.observing.wrench_status('wrench'), pipeline.attachment.status('vacuum'),
             pipeline.planning.status)
         load = health.load_status('load', pipeline.load)
-        self._log(load, load.finding.code in ('unsafe', 'lets_go'))
-        return [*lines, load, *(line for line in others if line)]
+        for line in filter(None, (load, *others)):
+            self._log(line, line.finding.code in ('unsafe', 'lets_go', 'publishers'))
+        return [*lines, load, *filter(None, others)]
 
     def _log(
         self, line: health.Status, wrong: bool, after: float = 0.0, kind: object = None

@@ -94,7 +94,7 @@ class InputReport(NamedTuple):
     topic: str
     publishers: int
     mismatch: Finding | None
-    """QoS setting, type or frame that is incompatible with a publisher."""
+    """QoS setting, type or frame that is incompatible with a publisher, or several publishers."""
     messages: int
     intervals: Array
     """Times between arrivals, s."""
@@ -155,12 +155,12 @@ def input_status(
     """
     refused, age = sum(report.refused.values()), float(
         np.median(report.ages)) if len(report.ages) else math.nan
-    if refused and report.messages:
-        found = fact('refused', worst if refused >= report.messages else Level.WARN, report.topic,
-                     refused=refused, messages=report.messages, reasons=listed(report.refused),
-                     effect=effect)
-    elif report.mismatch:
-        found = report.mismatch._replace(level=Level.WARN if report.messages else worst)
+    level = Level.WARN if report.messages > refused else worst
+    if report.mismatch:
+        found = report.mismatch._replace(level=level)
+    elif refused and report.messages:
+        found = fact('refused', level, report.topic, refused=refused, messages=report.messages,
+                     reasons=listed(report.refused), effect=effect)
     elif abs(age) > MAX_AGE:
         found = fact('clock', seconds=abs(age), side='behind' if age > 0.0 else 'ahead of')
     elif report.messages or is_latched and math.isfinite(report.silent):
@@ -253,9 +253,9 @@ def load_status(name: str, load: Load) -> Status:
 
 def summary(live: LivePredictor) -> str:
     """Return all counts of a predictor in one sentence."""
-    refused = live.refused
+    refused, tool = live.refused, live.tool
     reasons = ', '.join(f'{count} {name}' for name, count in refused.items() if count)
     return (
-        f'{live.poses_in} poses and {live.twists_in} twists in, {live.predictions} predictions '
+        f'{tool.poses} poses and {tool.twists} twists in, {live.predictions} predictions '
         f'out, {sum(refused.values())} refused{f" ({reasons})" if reasons else ""}, '
-        f'{live.twists_estimated} twists estimated.')
+        f'{tool.motion.estimated} twists estimated.')

@@ -22,7 +22,7 @@ from bellows_ros.core.identification.validation import (
 )
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.cycle import Signal
-from bellows_ros.core.live.predictor import Messages, predicted_trajectory
+from bellows_ros.core.live.recorded import Messages, predicted_trajectory
 from bellows_ros.core.model import simulation, validity_range
 from bellows_ros.core.model.grip import factors_along, Margin, margin
 from bellows_ros.core.observer.alarms import Alarm
@@ -444,8 +444,8 @@ def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
         **{f'predictor refused: {reason}': n for reason, n in live.refused.items()},
         **{f'predictor restarted: {reason}': n for reason, n in live.restarts.items()}}
     return {
-        'poses': live.poses_in, 'twists': live.twists_in, 'predictions': live.predictions,
-        'twists estimated': live.twists_estimated,
+        'poses': live.tool.poses, 'twists': live.tool.twists, 'predictions': live.predictions,
+        'twists estimated': live.tool.motion.estimated,
         **{name: count for name, count in lost.items() if count}}
 
 

@@ -197,8 +197,8 @@ class Partner(Peer):
 
     def wait_for_inputs(self, poses):
         """Spin until the predictor has received a number of poses, rejected ones included."""
-        live = self.predictor.pipeline.live
-        assert self.ros.spin_until(lambda: live.poses_in >= poses), f'{live.poses_in} of {poses}'
+        tool = self.predictor.pipeline.live.tool
+        assert self.ros.spin_until(lambda: tool.poses >= poses), f'{tool.poses} of {poses}'
 
 
 def topics_of(predictor):

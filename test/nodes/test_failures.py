@@ -11,6 +11,7 @@ import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .conftest import break_always, break_once, ERROR, Listener, MS, PACKAGE, START
 
@@ -71,6 +72,14 @@ def test_a_negative_time_is_left_out(make_predictor, peer, capfd):
     peer.wait(lambda: predictor.get_clock().now().nanoseconds == 101 * 10**9)
 
 
+def test_an_answer_after_the_end_of_the_topics_is_no_failure(node):
+    """Of a thread that still answers a plan."""
+    steered = node.pipeline.planning._steered
+    node.release_resources()
+    steered.publish(MultiDOFJointTrajectory())
+    assert not node.failures
+
+
 ALL_PAIRS = (0, 0, 1, 1, 2, 2, 0, 2, 1, 0)  # of levels that follow each other
 
 
@@ -120,15 +129,3 @@ def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, partner, capf
     assert predictor.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
     assert set(predictor.failures) == {topic.name}
     assert f'A callback failed at {topic.name}' in capfd.readouterr().err
-
-
-def test_a_fault_of_work_aside_does_not_touch_the_prediction(partner):
-    """Count it, and go on with the motion and with the next work."""
-    predictor, done = partner.predictor, []
-    partner.predict(START)
-    predictor.aside(lambda: [][0])
-    predictor.aside(done.append, True)
-    partner.wait(lambda: done and predictor.failures)
-    assert sum(predictor.failures.values()) == 1
-    pipeline = predictor.pipeline
-    assert pipeline.latest is not None and not pipeline.live.restarts['failure']

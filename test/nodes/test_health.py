@@ -6,7 +6,7 @@ import time
 
 from bellows_ros.nodes.conversions import vector
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from numpy.testing import assert_allclose
@@ -15,7 +15,19 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
-from .conftest import ERROR, LATCHED, MS, OK, PACKAGE, stamp_ns, START, topics_of
+from .conftest import (
+    ERROR,
+    LATCHED,
+    MS,
+    OK,
+    PACKAGE,
+    Peer,
+    stamp_ns,
+    stamped,
+    START,
+    topics_of,
+    WARN,
+)
 
 BURSTS = 50  # at most, until this machine has not paused for longer than is bridged
 
@@ -72,6 +84,19 @@ def test_qos_mismatch_is_named(make_predictor, listener):
         depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert listener.sees(
         'tool pose', ERROR, 'Set qos_overrides./tool_arm/pose.subscription.reliability')
+
+
+def test_two_publishers_of_a_topic_are_named(ros, listener, make_partner):
+    """Two arms, or a sensor and its filter, of which none is taken in silence."""
+    partner, other = make_partner(), Peer(ros, 'other')
+    other.writes(PoseStamped, 'tool_arm/pose')
+    wrenches = [each.writes(WrenchStamped, 'tool_arm/wrench') for each in (partner, other)]
+    partner.wait(lambda: partner.predictor.pipeline.observing.is_ready)
+    with sending(partner):
+        assert listener.sees('tool pose', WARN, 'several publishers: other, partner')
+        for writer in wrenches:
+            writer.publish(stamped(WrenchStamped(), time.time_ns()))
+        assert listener.sees('wrench', WARN, 'several publishers: other, partner')
 
 
 def test_pause_is_bridged_by_odometry_up_to_the_limit(make_partner):

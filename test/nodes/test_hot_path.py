@@ -30,7 +30,7 @@ from visualization_msgs.msg import MarkerArray
 from rclpy.executors import SingleThreadedExecutor
 from bellows_ros.core.geometry import jit
 from bellows_ros.nodes.predictor_node import PredictorNode
-from bellows_ros.nodes.guarding import executor_for
+from bellows_ros.nodes.guarding import executor_for, Once
 from test.nodes.conftest import (
     overrides_of, PACKAGE, Partner, pose_at, set_on, stamped, START, topics_of)
 
@@ -109,7 +109,7 @@ def held():
         [tracemalloc.Filter(True, os.path.dirname(bellows_ros.__file__) + '/*')])
     return sum(trace.size for trace in taken.traces)
 
-partner.wait(lambda: predictor.pipeline.live.pairing.expect and all(
+partner.wait(lambda: predictor.pipeline.live.tool.pairing.expect and all(
     topic.subscribed and topic.is_ready for topic in topics_of(predictor)))
 predictor.diagnostics.report()
 modules, compiled = set(sys.modules), signatures()
@@ -142,7 +142,7 @@ partner.connect(predictor)
 pipeline = predictor.pipeline
 planning = pipeline.planning
 partner.wait(lambda: planning._plan_out.subscribed and pipeline.outputs.landing.is_ready
-             and planning._warming.done())
+             and planning._warming.is_done)
 send(1)
 plan = MultiDOFJointTrajectory(joint_names=['tool'], points=[
     MultiDOFJointTrajectoryPoint(
@@ -177,7 +177,7 @@ def answered_all():
     return plans and joints
 partner.wait(answered_all)
 answered.append(joints)
-pipeline.observing.is_ready = False  # also for those on their way
+pipeline.observing._compiling = Once(predictor, print)  # also for those on their way
 pipeline.live.package.observer.has_sensor = False
 set_on(predictor, 'package.size', [0.2, 0.1, 0.1])
 send(2)
@@ -192,7 +192,7 @@ found = {
     'sent': sent, 'answered': [], 'failures': predictor.failures,
     'newly compiled': newly_compiled, 'needed': needed_later, 'of start': of_start,
     'grown': after - before, 'heard': list(map(len, heard)),
-    'twists estimated': pipeline.live.twists_estimated, 'coasted': pipeline.live.coasted,
+    'twists estimated': pipeline.live.tool.motion.estimated, 'coasted': pipeline.live.coasted,
 }
 needed.clear()
 valve_out.publish(Bool(data=True))

@@ -84,7 +84,7 @@ def test_every_transition(make_predictor, manager):
         manager.send()
         for service in ('/predictor/reset', '/package/detach'):
             assert not manager.call(service, Trigger).success
-        assert manager.heard == [] and node.pipeline.live.poses_in == 0
+        assert manager.heard == [] and node.pipeline.live.tool.poses == 0
         assert manager.change(Transition.TRANSITION_ACTIVATE)
         assert manager.hears_all()
         assert manager.change('deactivate')
@@ -93,7 +93,7 @@ def test_every_transition(make_predictor, manager):
         manager.send()
         assert manager.change(Transition.TRANSITION_CLEANUP)
         assert manager.state() == 'unconfigured' and manager.heard == []
-        manager.wait(lambda: active_count() == threads)
+        manager.wait(lambda: active_count() <= threads)
     assert manager.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
     assert manager.state() == 'finalized'
 
@@ -130,9 +130,9 @@ def test_package_is_attached_and_detached(node, manager):
     assert manager.call('/package/detach', Trigger).success
     manager.wait(lambda: manager.states[-1] == 'detached')
     manager.take_what_is_under_way()
-    before = node.pipeline.live.poses_in
+    before = node.pipeline.live.tool.poses
     manager.send(20)
-    manager.wait(lambda: node.pipeline.live.poses_in == before + 20)
+    manager.wait(lambda: node.pipeline.live.tool.poses == before + 20)
     answer = manager.call('/package/attach', Trigger)
     assert answer.success and set(manager.heard) <= {'package/markers'}  # that takes them away
     assert manager.hears_all()

@@ -7,6 +7,7 @@ from bellows_ros.core.model.equilibrium import moved_by
 from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.nodes.conversions import TOOL_POSES
+from bellows_ros.nodes.inputs import MAX_MEASURED, MAX_WRENCHES
 from bellows_ros.report.health import Level
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, PoseStamped, WrenchStamped
@@ -109,7 +110,7 @@ def test_counts_begin_again_with_the_observer(make_partner):
     predictor, observing = partner.predictor, partner.predictor.pipeline.observing
     start_ns = time.time_ns()
     bad_pose = placed(stamped(PoseStamped(), start_ns), ORIGIN, (0.0, 0.0, 0.0, 0.0))
-    observing._on_publishers(1)
+    observing._compiling.on_peers(1)
     partner.wait(lambda: observing.is_ready)
     partner.predict(start_ns)
 
@@ -144,3 +145,23 @@ def test_wrenches_weigh_the_package(make_partner):
     partner.wait(lambda: bool(payloads))
     partner.wait(lambda: abs(payloads[-1].inertia.m - heavier) < 0.03 * heavier)
     assert pipeline.observing.wrench_status('wrench').level <= Level.WARN
+
+
+def test_a_flood_of_a_sensor_leaves_time_for_the_tool(make_partner):
+    """At 10 kHz, use a bounded number of messages for each pose of the tool; count the others."""
+    partner = make_partner(with_twists=False)
+    predictor, observing = partner.predictor, partner.predictor.pipeline.observing
+    observing._compiling.on_peers(1)
+    partner.wait(lambda: observing.is_ready)
+    callbacks = {each.topic_name: each.callback for each in predictor.subscriptions}
+    start_ns, used = time.time_ns(), predictor.pipeline.live.package.observer.counts
+    for k in range(1, 4):
+        partner.predict(start_ns + k * 100_000_000)
+        for j in range(1000):
+            stamp_ns = start_ns + k * 100_000_000 + j * 100_000
+            for kind, topic in ((WrenchStamped, '/tool_arm/wrench'),
+                                (PoseStamped, '/package/measured')):
+                callbacks[topic](serialize_message(stamped(kind(), stamp_ns)))
+    assert observing._no_wrench['too_many'] == 3 * (1000 - MAX_WRENCHES)
+    assert observing._no_view['too_many'] == 3 * (1000 - MAX_MEASURED)
+    assert sum(used.values()) <= 3 * MAX_MEASURED

@@ -80,7 +80,7 @@ class Planner:
             data=UR5E.replace(f'"{ARM.root}"', '"world"')))
         partner.connect()
         self.planning = planning = partner.predictor.pipeline.planning
-        self.wait(lambda: planning._warming.done() and planning._urdf and self.is_idle() and all(
+        self.wait(lambda: planning._warming.is_done and planning._urdf and self.is_idle() and all(
             topic.subscribed for topic in (
                 planning._plan_out, planning._path_out, planning._steered,
                 planning._steered_joints)))

@@ -12,6 +12,7 @@ from bellows_ros.nodes.conversions import vector
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose
 import pytest
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo
 
 from . import tf2_interface
@@ -169,12 +170,16 @@ def test_a_tag_may_come_by_its_corners(make_partner, apriltag_msgs):
     partner.wait(lambda: observing._observer and observing._observer.counts['used'])
     counts = observing._observer.counts
     assert counts['used'] + counts['late'] == sum(counts.values())  # late: before the observer
+    for size in (0.0, 1e-12):
+        (result,) = partner.predictor.set_parameters([Parameter('measured.tag_size', value=size)])
+        assert not result.successful and 'measured.tag_size' in result.reason
 
 
 @pytest.mark.skipif(importlib.util.find_spec('apriltag_msgs') is not None, reason='it is here')
 def test_corners_without_their_messages_or_the_size_of_the_tag_are_refused(make_predictor):
     """Name the missing package, or the missing parameter."""
-    for size, named in ((0.0, 'measured.tag_size'), (0.05, 'ros-jazzy-apriltag-msgs')):
+    for size, named in ((0.0, 'measured.tag_size'), (1e-12, 'measured.tag_size'),
+                        (0.05, 'ros-jazzy-apriltag-msgs')):
         with pytest.raises(BellowsError, match=named):
             make_predictor({**PACKAGE, 'measured.type': 'detections', 'measured.tag_size': size})
 

@@ -7,25 +7,22 @@ and the caller passes the arrival of each message.
 
 from __future__ import annotations  # signatures show names, not their members
 
-from array import array
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 import math
 from operator import mul
-from typing import Any
 
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
-from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED, Signal
+from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED
 from bellows_ros.core.live.held_package import HeldPackage, stated_payload
-from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
+from bellows_ros.core.live.observing import ALARM_DURATION_NS, Observing
+from bellows_ros.core.live.tool_input import ToolInput
+from bellows_ros.core.live.tool_screening import REFUSALS, TwistSample
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.live.vacuum import ALL, check_live, Load, Vacuum
 from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
-from bellows_ros.core.model.simulation import trajectory_of
 from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.results import Payload
@@ -35,12 +32,10 @@ from bellows_ros.core.parameters.conversion import cup_of, gravity_of, package_o
 from bellows_ros.core.parameters.table import lookup
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.screening import PoseSample
-from bellows_ros.core.signals.trajectory import frozen, NS_PER_S, same_frame, Trajectory
+from bellows_ros.core.signals.trajectory import same_frame
 from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike
-
-from .tool_screening import Frame, REFUSALS, Screen, ToolArrivals, TwistSample, why_no_twist
 
 COAST_LIMIT_NS = 100_000_000
 """Limit of the extrapolation of the tool, ns: it errs by 20 mm at an acceleration of 4 m/s^2."""
@@ -57,20 +52,11 @@ STOPPED_NS = 100_000_000
 MIN_UPWARD_GRAVITY = 0.5
 """Fraction of gravity along z of the tool above which the package is above the tool."""
 
-ALARM_DURATION_NS = 5_000_000_000
-"""Duration of an alarm without a resolution, ns."""
-
 UNSAFE_DURATION_NS = 1_000_000_000
 """Duration of a false `is_ok` after a safety factor below safety.least, ns."""
 
 PROVEN_NS = 500_000_000
 """Duration of uninterrupted prediction before `is_ok` is true, ns."""
-
-MAX_AHEAD_NS = 50_000_000
-"""Longest lead of a wrench before the newest pose of the tool, ns: some periods of slow poses."""
-
-SEEN_AGAIN = 3
-"""Number of used poses that indicate the next package, without vacuum and valve."""
 
 RESTARTS = (
     'gap', 'clock_set_back', 'clock_set_forward', 'clock_jump', 'frame_changed', 'moved',
@@ -120,18 +106,14 @@ class LivePredictor:
         Pressures by cup.
     lost_cups : set of int
         Cups of cup.layout lost since the package was attached.
-    pairing : Pairing
-        Poses that wait for their twists.
-    tool : ToolMotion
-        Pose and twist of the tool, and the check of its twists.
+    tool : ToolInput
+        Screened and paired poses and twists of the tool.
     package : HeldPackage
         State of the package, and the observer that corrects it.
-    arrivals : ToolArrivals
-        Arrivals of accepted poses.
     attached : bool
         Whether the package is predicted.
-    poses_in, twists_in, predictions, twists_estimated, coasted : int
-        Counts of inputs, outputs, and estimated twists and tool poses.
+    predictions, coasted : int
+        Counts of predictions at tool poses, and at extrapolated ones.
 
     Examples
     --------
@@ -155,26 +137,21 @@ class LivePredictor:
         require_stiffness(cup.stiffness)
         if twist_frame not in ('world', 'tool'):
             raise BellowsError(f"twist_frame is '{twist_frame}'; expected 'world' or 'tool'.")
-        self._screen, self._twist_frame = Screen(), Frame()
-        self.pairing, self.arrivals = Pairing(), ToolArrivals()
-        self.tool = ToolMotion(twist_frame == 'world')
+        self.tool = ToolInput(twist_frame == 'world')
         self.package = HeldPackage(cup, package, gravity, resolve({}, ()))
+        self._observing = Observing(self.package)
+        self.alarms = self._observing.alarms
         self.coast_limit_ns = coast_limit_ns
-        self._counts = dict.fromkeys(REFUSALS, 0)
         self.restarts = dict.fromkeys(RESTARTS, 0)
-        self.poses_in = self.twists_in = 0
-        self.predictions = self.twists_estimated = self.coasted = 0
-        self.attached, self._twists_expected = True, False
-        self._cycle, self._held_cups = Cycle(True), dict[int, bool]()
-        self.alarms: list[Alarm] = self.package.observer.alarms
+        self.predictions = self.coasted = 0
+        self.attached, self._cycle, self._held_cups = True, Cycle(True), dict[int, bool]()
         self.values = self._given = Values({})
         self.vacuum, self.lost_cups = Vacuum(), set[int]()
         self.load: Load | None = None
         self.latest: Prediction | None = None
-        self._unsafe_ns, self._moved_ns = -1, -STOPPED_NS
         self._begun_ns: int | None = None
-        self._trusted_ns = -1
-        self._alarms_seen = self._used_at_loss = 0
+        self._trusted_ns = self._unsafe_ns = -1
+        self._moved_ns = -STOPPED_NS
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, object]) -> LivePredictor:
@@ -208,7 +185,7 @@ class LivePredictor:
         predictor = cls(
             cup_of(values), package_of(values), gravity_of(values),
             'tool' if values.tool_pose.type == 'odometry' else values.tool_twist.frame)
-        predictor.tool.set_tip(tip_of(values))
+        predictor.tool.motion.set_tip(tip_of(values))
         is_held = values.vacuum.signal == 'none'
         predictor.attached, predictor._cycle = is_held, Cycle(is_held)
         predictor.use(values)
@@ -224,27 +201,25 @@ class LivePredictor:
     @property
     def frame_id(self) -> str:
         """Frame of the accepted poses, '' before the first."""
-        return self._screen.frame.name or ''
+        return self.tool.screen.frame.name or ''
 
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest accepted pose, ns."""
-        return self._screen.newest_ns
+        return self.tool.newest_ns
 
     @property
     def refused(self) -> dict[str, int]:
-        """Counts of rejected messages, by reason."""
-        return {**self._counts, 'twist_unpaired': self.pairing.unpaired}
+        """Counts of rejected messages of the tool, by reason."""
+        return self.tool.refused
 
     @property
     def counts(self) -> dict[str, int]:
         """Counts of incoming messages, predictions and restarts, since the beginning."""
         return {
-            'poses in': self.poses_in, 'twists in': self.twists_in,
+            'poses in': self.tool.poses, 'twists in': self.tool.twists,
             'predictions': self.predictions, 'coasted': self.coasted,
-            'twists estimated': self.twists_estimated,
-            'twists interpolated': self.pairing.interpolated,
-            'twists unpaired': self.pairing.unpaired,
+            'twists estimated': self.tool.motion.estimated,
             **{f'fresh starts: {reason}': count for reason, count in self.restarts.items()},
         }
 
@@ -263,7 +238,7 @@ class LivePredictor:
         """
         if self.latest is not None:
             self.watch(self.latest)
-        return self.is_ok_at(self.arrivals.newest_ns or 0)
+        return self.is_ok_at(self.tool.arrivals.newest_ns or 0)
 
     def is_ok_at(self, arrival_ns: int) -> bool:
         """Return `is_ok` for a given time on the clock of arrivals."""
@@ -293,12 +268,7 @@ class LivePredictor:
         An alarm after which cup or payload deviate from their parameters by more than allowed
         lasts until the deviation ends.
         """
-        if not self.alarms:
-            return None
-        newest, observer = self.alarms[-1], self.package.observer
-        lasts = self.state == LOST if newest.kind == LOST and newest.cup < 0 else (
-            self.newest_ns - newest.stamp_ns < ALARM_DURATION_NS or observer.departs_from_file)
-        return newest if lasts else None
+        return self._observing.unresolved(self.state == LOST, self.newest_ns)
 
     @property
     def payload(self) -> Payload | None:
@@ -331,10 +301,10 @@ class LivePredictor:
         """
         if not self.attached:
             return 'detached'
-        has_package = bool(self.package.sample or self.pairing.waiting)
-        if self.arrivals.newest_ns is None and not has_package:
+        has_package = bool(self.package.sample or self.tool.pairing.waiting)
+        if self.tool.arrivals.newest_ns is None and not has_package:
             return 'waiting'
-        if silent_ns := self.arrivals.silent_ns(arrival_ns, self._screen.period_ns):
+        if silent_ns := self.tool.arrivals.silent_ns(arrival_ns, self.tool.screen.period_ns):
             return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
         if not has_package:
             return 'lost'
@@ -383,18 +353,17 @@ class LivePredictor:
         """
         if reason:
             self.restarts[reason] += 1
-            self._screen.forget_motion()
+            self.tool.screen.forget_motion()
         else:
-            self._screen.reset()
+            self.tool.reset()
             self._trusted_ns = -1
-            self.pairing.expect = self._twists_expected
             if self.attached and self.state == LOST:
                 self._cycle.grip()
         self._forget_motion(SAME_PACKAGE if reason else CAMERA_ROWS)
 
     def expect_twists(self, expected: bool) -> None:
         """Set whether poses wait for twists; received twists change this setting."""
-        self._twists_expected = self.pairing.expect = expected
+        self.tool.expect_twists(expected)
 
     def set_attached(self, attached: bool) -> list[Prediction]:
         """Attach a package, from rest at the next pose, or detach it."""
@@ -411,7 +380,7 @@ class LivePredictor:
         is_next = attached and not self.attached
         if attached != self.attached:
             self.package.forget()
-            self.arrivals.clear()
+            self.tool.arrivals.clear()
         self.attached, self.latest, self._begun_ns = attached, None, None
         if is_next:
             self.package.observer.grip()
@@ -424,10 +393,7 @@ class LivePredictor:
         self.package.forget(kept)
         self.latest, self._unsafe_ns, self._moved_ns = None, -1, -STOPPED_NS
         self._begun_ns = None
-        self.pairing.clear()
-        self.tool.clear()
-        self._twist_frame = Frame()
-        self.arrivals.clear()
+        self.tool.forget()
 
     # ------------------------------------------------------ valve, vacuum, loss
 
@@ -483,30 +449,20 @@ class LivePredictor:
     def _follow_cycle(self, before: str, stamp_ns: int) -> None:
         """Attach or detach the package after a change of its state."""
         state = self.state
-        if state == LOST and before != LOST:
-            self._note_loss(stamp_ns)
+        if state == LOST and before != LOST and self._given.get('alarm.false_per_hour', 0.0):
+            self._observing.note_loss(stamp_ns)
         if (before in ON_CUP) != (state in ON_CUP):
             self._attach(state in ON_CUP)
 
-    def _note_loss(self, stamp_ns: int) -> None:
-        """Raise the alarm on a loss indicated by the vacuum, unless the camera has raised it."""
-        if self._given.get('alarm.false_per_hour', 0.0) > 0.0 and not any(
-                alarm.kind == LOST and stamp_ns - alarm.stamp_ns < ALARM_DURATION_NS
-                for alarm in self.alarms):
-            self.alarms.append(Alarm(stamp_ns, LOST, shown_by='vacuum'))
-            self._alarms_seen = len(self.alarms)
-
     def _note_alarms(self) -> None:
         """Process new alarms of the observer: loss of the package, or of a cup."""
-        if len(self.alarms) == self._alarms_seen:
+        if not (new := self._observing.new_alarms()):
             return
-        new, self._alarms_seen = self.alarms[self._alarms_seen:], len(self.alarms)
         if lost := {alarm.cup for alarm in new if alarm.cup >= 0} - self.lost_cups:
             self.lost_cups |= lost
             self.use(self._given)
         if any(alarm.kind == LOST and alarm.cup < 0 for alarm in new) and self.state in ON_CUP:
             self._cycle.end(LOST)
-            self._used_at_loss = self.package.observer.counts['used']
             if not (self._cycle.valve is self._cycle.vacuum is None):  # they show the next package
                 self._attach(False)
 
@@ -533,14 +489,12 @@ class LivePredictor:
             Arrival on a monotonic clock; None if messages do not arrive in real time.
 
         """
-        self.poses_in += 1
         try:
-            reason = self._screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
+            reason = self.tool.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
         except TypeError:
             frozen_array(quaternion_xyzw, (4,), 'quaternion_xyzw')
             raise
-        if reason in self._counts:
-            self._counts[reason] += 1
+        if reason in REFUSALS:
             if reason in ('jump', 'millimetres'):
                 self._begun_ns = None
             if reason == 'millimetres':
@@ -551,8 +505,7 @@ class LivePredictor:
             predictions = self.flush()
             self.restarts[reason] += 1
             self._forget_motion()
-        self.arrivals.add(arrival_ns)
-        self.pairing.add_pose(self.tool.pose(stamp_ns, position, quaternion_xyzw))
+        self.tool.add_pose(stamp_ns, position, quaternion_xyzw, arrival_ns)
         return predictions + self._release()
 
     def on_twist(
@@ -561,15 +514,9 @@ class LivePredictor:
         """
         Process the tool's twist (m/s, rad/s) and return the resulting predictions.
 
-        The frame_id does not define the axes, as drivers set it arbitrarily. Twists with another
-        frame_id than the first are rejected until no others have come for a while.
+        The frame_id does not define the axes, as drivers set it arbitrarily.
         """
-        self.twists_in += 1
-        refused = why_no_twist(linear, angular)
-        if refused or not self._twist_frame.accepts(frame_id, stamp_ns):
-            self._counts[refused or 'twist_frame_id'] += 1
-            return []
-        self.pairing.add_twist(TwistSample(stamp_ns, linear, angular))
+        self.tool.add_twist(TwistSample(stamp_ns, linear, angular))
         return self._release()
 
     def on_measured(
@@ -596,21 +543,13 @@ class LivePredictor:
             Arrival on the clock of `on_pose`.
 
         """
-        observer = self.package.observer
-        (x, y, z), (qx, qy, qz, qw) = position, quaternion_xyzw
-        position, quaternion_xyzw = (x, y, z), (qx, qy, qz, qw)
-        measurement = observer.sensor.measurement(stamp_ns, position, quaternion_xyzw, covariance)
-        if isinstance(measurement, str):
-            observer.counts[measurement] += 1
-        elif not (observer.sensor.has_own_world or same_frame(self.frame_id, frame_id)):
-            observer.counts['frame_id'] += 1
-        else:
-            newest_ns = self.arrivals.newest_ns
-            since_ns = 0 if arrival_ns is None or newest_ns is None else arrival_ns - newest_ns
-            self.package.correct(measurement, max(since_ns, 0))
+        newest_ns = self.tool.arrivals.newest_ns
+        since_ns = 0 if arrival_ns is None or newest_ns is None else max(arrival_ns - newest_ns, 0)
+        if self._observing.on_measured(
+                stamp_ns, same_frame(self.frame_id, frame_id),
+                (position, quaternion_xyzw, covariance), since_ns):
             self._note_alarms()
-            if self.state == LOST and self.attached and (
-                    observer.counts['used'] >= self._used_at_loss + SEEN_AGAIN):
+            if self.state == LOST and self.attached and self._observing.shows_next:
                 self._cycle.grip()
 
     def on_wrench(
@@ -634,14 +573,8 @@ class LivePredictor:
             Reason of a rejection, or ''.
 
         """
-        if not math.isfinite(sum(force) + sum(moment)):
-            return 'nan'
-        if self.newest_ns < 0:
-            return 'not_held'
-        if stamp_ns - self.newest_ns > MAX_AHEAD_NS:
-            return 'future_stamp'
         in_world = bool(frame_id) and frame_id == self.frame_id
-        refused = self.package.feel(stamp_ns, (force, moment), in_world)
+        refused = self._observing.on_wrench(stamp_ns, (force, moment), in_world, self.newest_ns)
         self._note_alarms()
         return refused
 
@@ -652,15 +585,15 @@ class LivePredictor:
 
     def flush(self) -> list[Prediction]:
         """Predict for all waiting poses, without their twists."""
-        self.pairing.release_waiting_poses()
+        self.tool.pairing.release_waiting_poses()
         return self._release()
 
     def coast(self, arrival_ns: int) -> list[Prediction]:
         """Return a prediction at a time without a pose, within the limit of the extrapolation."""
-        newest_ns = self.arrivals.newest_ns
+        newest_ns = self.tool.arrivals.newest_ns
         if newest_ns is None:
             return []
-        stamp_ns = self._screen.newest_ns + arrival_ns - newest_ns
+        stamp_ns = self.newest_ns + arrival_ns - newest_ns
         if self._cycle.follows:
             self._on_tool(stamp_ns)
         prediction = self.package.coast(stamp_ns) if self.phase(arrival_ns) == 'coasting' else None
@@ -675,12 +608,12 @@ class LivePredictor:
     def _release(self) -> list[Prediction]:
         """Predict for the poses whose twist has arrived, or is no longer awaited."""
         return [
-            prediction for pose, twist in self.pairing.ready()
+            prediction for pose, twist in self.tool.pairing.ready()
             if (prediction := self._predict(pose, twist)) is not None]
 
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start from rest at this pose."""
-        before, now = self._tool_states(pose, twist)
+        before, now = self.tool.motion.states(pose, twist, self.package.sample)
         if self._cycle.follows:
             if is_moving(now):
                 self._moved_ns = pose.stamp_ns
@@ -696,8 +629,7 @@ class LivePredictor:
             self.latest = prediction
             if self._begun_ns is None:
                 self._begun_ns = prediction.stamp_ns
-        if len(self.alarms) != self._alarms_seen:
-            self._note_alarms()
+        self._note_alarms()
         return prediction
 
     def _on_tool(self, stamp_ns: int, position: Vector | None = None) -> None:
@@ -719,22 +651,6 @@ class LivePredictor:
         if factors and min(factors) < self.load.required:
             self._unsafe_ns = prediction.stamp_ns + UNSAFE_DURATION_NS
         return factors
-
-    def _tool_states(
-        self, pose: PoseSample, twist: TwistSample | None
-    ) -> tuple[State | None, State]:
-        """Return the tool with its twist, and a better estimate of it at the previous pose."""
-        self.tool.add(pose)
-        last = self.package.sample
-        if twist is not None:
-            start, seconds = (ORIGIN, 0.0) if last is None else (
-                last.tool, (pose.stamp_ns - last.stamp_ns) / NS_PER_S)
-            now, excess = self.tool.measured(pose, twist, start, seconds)
-            if last is None or excess <= 1.0:
-                return None, now
-            self._counts['twist_misses_pose'] += 1
-        self.twists_estimated += 1
-        return self.tool.estimated(has_before=last is not None)
 
 
 def is_moving(tool: State) -> bool:
@@ -759,89 +675,3 @@ def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) ->
         live.on_pose(arrival_ns + k * 1_000_000, 'world', (x, 0.0, 0.0), upright, arrival_ns)
     live.flush()
     live.coast(arrival_ns + live.coast_limit_ns)
-
-
-MESSAGE_BLOCK = 2000
-"""Number of messages held as Python objects at a time; more slow down the garbage collector."""
-
-
-@dataclass(frozen=True, eq=False)
-class Messages:
-    """
-    Poses and twists of the tool in the order of their stamps.
-
-    Parameters
-    ----------
-    stamps_ns : ndarray (N,)
-    is_twist : bool ndarray (N,)
-    numbers : ndarray (N, 7)
-        Position (m) and quaternion (x, y, z, w); for a twist linear and angular velocity (m/s,
-        rad/s), and a zero.
-
-    """
-
-    stamps_ns: Stamps
-    is_twist: Mask
-    numbers: Array
-
-    def __len__(self) -> int:
-        """Return the number of messages."""
-        return len(self.stamps_ns)
-
-    def __iter__(self) -> Iterator[tuple[int, bool, Vector, Any]]:
-        """Yield stamp (ns), whether it is a twist, and its two parts as tuples."""
-        for start in range(0, len(self), MESSAGE_BLOCK):
-            part = slice(start, start + MESSAGE_BLOCK)
-            for stamp_ns, is_twist, (a, b, c, d, e, f, g) in zip(
-                self.stamps_ns[part].tolist(), self.is_twist[part].tolist(),
-                self.numbers[part].tolist(), strict=True,
-            ):
-                yield stamp_ns, is_twist, (a, b, c), (d, e, f) if is_twist else (d, e, f, g)
-
-
-def predicted_trajectory(
-    live: LivePredictor, messages: Messages,
-    progress: Callable[[str, float], None] = lambda what, part: None,
-    measured: Sequence[tuple[Any, ...]] = (), signals: Sequence[Signal] = (),
-) -> Trajectory:
-    """
-    Return the live predictions for messages in order: B in the world with body twists.
-
-    Measured poses of the package (stamp, position, quaternion, covariance or None) and signals,
-    both in order, are processed before the first message after their stamp.
-
-    Raises
-    ------
-    BellowsError
-        If there are fewer than two predictions.
-
-    """
-    stamps, numbers = array('q'), array('d')
-
-    def store(predicted: list[Prediction]) -> None:
-        for stamp_ns, position, quaternion_xyzw, linear, angular, *_ in predicted:
-            stamps.append(stamp_ns)
-            numbers.extend((*position, *quaternion_xyzw, *linear, *angular))
-
-    live.expect_twists(bool(messages.is_twist.any()))
-    poses, readings = deque(measured), deque(signals)
-    for number, (stamp_ns, is_twist, first, second) in enumerate(messages):
-        if number % MESSAGE_BLOCK == 0:
-            progress('predicting', number / len(messages))
-        while poses and poses[0][0] < stamp_ns:
-            measured_ns, *pose = poses.popleft()
-            live.on_measured(measured_ns, 'world', *pose)
-        while readings and readings[0][0] < stamp_ns:
-            read_ns, name, is_on, cup = readings.popleft()
-            if name == 'valve':
-                live.on_valve(is_on, read_ns)
-            else:
-                live.on_vacuum(is_on, read_ns, cup)
-        store(live.on_twist(stamp_ns, first, second) if is_twist
-              else live.on_pose(stamp_ns, 'world', first, second))
-    store(live.flush())
-    if len(stamps) < 2:
-        raise BellowsError(
-            f'The predictor made {len(stamps)} predictions, too few to compare. Check the '
-            'recording, and whether the cup can hold the package.')
-    return trajectory_of(np.array(stamps), frozen(np.frombuffer(numbers).reshape(-1, 13)))

@@ -18,8 +18,9 @@ from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
+from bellows_ros.core.live.held_package import Sample
 from bellows_ros.core.live.tool_screening import TwistSample
-from bellows_ros.core.model.kernels import extrapolated, State
+from bellows_ros.core.model.kernels import extrapolated, ORIGIN, State
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -50,14 +51,12 @@ class Pairing:
     expect : bool
         Whether a pose waits for its twist. Set by callers that know of a publisher of twists, and
         by twists that come soon after their poses.
-    interpolated : int
-        Number of poses with interpolated twists.
 
     """
 
     def __init__(self) -> None:
         self.expect = False
-        self.interpolated = self._pairs = self._received = 0
+        self._pairs = self._received = 0
         self.clear()
 
     def clear(self) -> None:
@@ -87,8 +86,7 @@ class Pairing:
 
     def add_twist(self, twist: TwistSample) -> None:
         """Queue a twist, or let poses wait if its pose has been released without it."""
-        stamp_ns, twists = twist.stamp_ns, self._twists
-        self._received += 1
+        stamp_ns, twists, self._received = twist.stamp_ns, self._twists, self._received + 1
         while twists and twists[-1].stamp_ns > max(stamp_ns, self._newest_ns + MAX_WAIT_NS):
             twists.pop()  # their stamps were wrong
         if twists and stamp_ns <= twists[-1].stamp_ns:
@@ -143,7 +141,6 @@ class Pairing:
                 after.stamp_ns - before.stamp_ns > MAX_SPAN_NS):
             return None
         s = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-        self.interpolated += 1
         return TwistSample(stamp_ns, *(
             t3.add_scaled(t3.scale(1.0 - s, a), s, b)
             for a, b in zip(before[1:], after[1:], strict=True)))
@@ -307,6 +304,11 @@ class ToolMotion:
     in_world : bool
         Whether twists are in axes of the world, instead of axes of the frame.
 
+    Attributes
+    ----------
+    estimated, missed : int
+        Number of estimated twists, and of measured ones that do not match the poses.
+
     """
 
     def __init__(self, in_world: bool) -> None:
@@ -315,6 +317,7 @@ class ToolMotion:
         self._in_world = in_world
         self._tip: tuple[Vector, Quaternion] | None = None
         self._recent: deque[State] = deque(maxlen=LATER_POSES + 1)
+        self.estimated = self.missed = 0
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
@@ -381,11 +384,22 @@ class ToolMotion:
         step = 0.01 * PERIOD_NS / NS_PER_S  # 1 % of the speed
         self._lag += min(max(found * is_late - self._lag, -step), step)
 
-    def estimated(self, has_before: bool) -> tuple[State | None, State]:
-        """Return E at the last two poses, or one, with twists estimated from poses alone."""
+    def states(
+        self, pose: PoseSample, twist: TwistSample | None, last: Sample | None
+    ) -> tuple[State | None, State]:
+        """Return a better estimate of E at the last sample, if any, and E at the next pose."""
+        self.add(pose)
+        if twist is not None:
+            start, seconds = (ORIGIN, 0.0) if last is None else (
+                last.tool, (pose.stamp_ns - last.stamp_ns) / NS_PER_S)
+            now, excess = self.measured(pose, twist, start, seconds)
+            if last is None or excess <= 1.0:
+                return None, now
+            self.missed += 1
+        self.estimated += 1
         self._recent.clear()
         # a later pose improves the slope at the previous one
-        return self.state(back=1) if has_before else None, self.state()
+        return self.state(back=1) if last else None, self.state()
 
     @property
     def verdict(self) -> str:

@@ -180,16 +180,6 @@ class Load:
         return extremes
 
 
-def why_no_pressure(pressure: float) -> str:
-    """Return the reason why a number cannot be the absolute pressure of a cup in Pa, or ''."""
-    if not math.isfinite(pressure):
-        return 'nan'
-    if pressure < 0.0:
-        return 'gauge'
-    units = (unit for unit, low, high in AMBIENT_IN if low <= pressure <= high)
-    return '' if pressure >= LEAST_ABSOLUTE else next(units, 'not_absolute')
-
-
 class Vacuum:
     """
     Absolute pressures in the cup, or in single cups of a gripper.
@@ -253,12 +243,15 @@ class Vacuum:
 
     def _why_rejected(self, values: Values, pressure: float) -> str:
         """Return the reason for the rejection of a pressure, or ''; store a wrong unit."""
-        reason = why_no_pressure(pressure)
-        if reason in ('', 'nan'):
-            if not reason and self.fault and pressure > values.vacuum.thresholds[1]:
+        if not math.isfinite(pressure):
+            return 'nan'
+        if pressure >= LEAST_ABSOLUTE:
+            if pressure > values.vacuum.thresholds[1]:
                 self.fault = ''
-            self._impossible = self._impossible if reason or self.fault else 0
-            return reason or self.fault
+            self._impossible = self._impossible if self.fault else 0
+            return self.fault
+        reason = 'gauge' if pressure < 0.0 else next(
+            (unit for unit, low, high in AMBIENT_IN if low <= pressure <= high), 'not_absolute')
         self._impossible += 1
         if self._impossible >= GLITCHES:
             self.fault = self.fault if reason == 'not_absolute' and self.fault else reason

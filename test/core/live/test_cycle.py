@@ -164,16 +164,6 @@ def test_parameters_change_while_the_package_moves_on():
         assert cell.live.values.package.mass == 2.0
 
 
-def test_support_is_known_to_a_camera_that_sees_the_package_after_the_grip():
-    """Put it down in view of a camera that has seen nothing before the lift."""
-    cell = Cell(False)
-    cell.pick()
-    cell.with_camera = True
-    cell.go(0.5)
-    cell.go(0.4, -0.2)
-    assert cell.live.package.observer._support.is_near
-
-
 @pytest.mark.parametrize(('until', 'release', 'last'), [
     (6.0, 0.5, 5.0), (6.0, 0.3, 5.0), (10.0, 0.5, 5.0), (3.0, 0.5, 3.0)])
 def test_a_hold_is_free_of_contact(until, release, last):

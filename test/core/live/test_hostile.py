@@ -84,13 +84,13 @@ class Attack:
 def check(live, predictions):
     """All numbers finite, orientations rotations, queues bounded, nothing said too far ahead."""
     for p in predictions:
-        ahead_ns = p.stamp_ns - live._screen.newest_ns
+        ahead_ns = p.stamp_ns - live.newest_ns
         assert not p.coasting or 0 < ahead_ns <= live.coast_limit_ns
         numbers = [x for part in (*p.body, p.force, p.moment, *p.tool) for x in part]
         assert all(map(math.isfinite, numbers))
         assert abs(math.hypot(*p.quaternion_xyzw) - 1.0) < 1e-9
-    assert live.pairing.waiting <= MAX_QUEUE
-    assert len(live.pairing._twists) <= 32
+    assert live.tool.pairing.waiting <= MAX_QUEUE
+    assert len(live.tool.pairing._twists) <= 32
 
 
 @pytest.mark.timeout(600)
@@ -119,7 +119,8 @@ def messages_survived(sequence):
         assert set(live.refused) == set(REFUSALS)
         refused = sum(n for name, n in live.refused.items() if not name.startswith('twist'))
         assert answered == live.predictions
-        assert live.predictions + refused + live.pairing.waiting <= live.poses_in == attack.poses
+        assert live.tool.poses == attack.poses
+        assert live.predictions + refused + live.tool.pairing.waiting <= attack.poses
     live.package.set_model(Cup.thesis(), PLATE)
     live.set_attached(True)
     stamp = attack.stamp + 20 * MS

@@ -7,7 +7,7 @@ from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live import vacuum
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.live.vacuum import ALL, Load, Vacuum
-from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
+from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
@@ -30,21 +30,6 @@ def test_pressure_switch_has_hysteresis():
     assert update(math.nan, '') == 'nan'
     with pytest.raises(BellowsError):
         vacuum.check_live(Values({'vacuum.thresholds': (2.0, 1.0)}))
-
-
-def test_vacuum_of_each_cup():
-    """Hold while one cup does, say which do not, and keep that when the package is lost."""
-    vacuum = Vacuum()
-    update = partial(
-        vacuum.update, resolve({'cup.layout': [0.05, 0.0, 0.0, -0.05, 0.0, 0.0]}))
-    assert update(50e3, 'cup_0') == ((True, 0), (True, ALL))
-    assert update(40e3, 'left/cup_1') == ((True, 1), (True, ALL))
-    assert (vacuum.held, vacuum.pressure, vacuum.open_cups) == (True, 50e3, ())
-    assert update(90e3, 'cup_0') == ((False, 0), (True, ALL))
-    assert (vacuum.held, vacuum.pressure, vacuum.open_cups) == (True, 40e3, (0,))
-    assert update(90e3, 'cup_2') == 'no_such_cup'
-    assert update(90e3, 'cup_1') == ((False, ALL),)
-    assert (vacuum.held, vacuum.pressure, vacuum.open_cups) == (False, None, (0,))
 
 
 def prediction(force=(0.0, 0.0, 20.0), moment=ZERO, tilt=0.0):
@@ -82,13 +67,6 @@ def test_smallest_margin_and_largest_distance_are_kept():
     unknown = Load(resolve(PACKAGE))
     unknown.watch_force(MODEL, prediction())
     assert not unknown.grip and not unknown.has_envelope and unknown.reset()[0] is None
-
-
-def test_box_of_an_inertia_is_the_box():
-    inertia = box_inertia(3.0, 0.2, 0.3, 0.1)
-    values = Values({
-        'package.mass': 3.0, 'package.inertia': (*np.diag(inertia), 0.0, 0.0, 0.0)})
-    assert_allclose(vacuum.equivalent_box(values), (0.2, 0.3, 0.1))
 
 
 def test_the_safety_factor_follows_the_measured_vacuum():

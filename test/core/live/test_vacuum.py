@@ -3,7 +3,6 @@
 import math
 
 from bellows_ros import LivePredictor
-from bellows_ros.core.live.vacuum import Vacuum
 import pytest
 
 from .test_cycle import MS, START, UPRIGHT, VALUES
@@ -48,13 +47,6 @@ def test_each_cup_holds_by_its_own_vacuum():
     weakest, *_, cups = live.load.grip
     assert weakest == pytest.approx(4.5e4 * math.pi * 4e-4)
     assert cups[:, 4].tolist() == pytest.approx([4 / 3, 1.0, 1.0])  # the last has no sensor
-
-
-def test_a_pressure_of_an_open_cup_ends_the_doubt():
-    values, vacuum = LivePredictor.from_parameters(VALUES).values, Vacuum()
-    assert vacuum.update(values, 3000.0, '') == vacuum.update(values, HELD, '') == 'not_absolute'
-    assert vacuum.update(values, OPEN, '') == ((False, -1),)
-    assert vacuum.update(values, HELD, '') == ((True, -1),)
 
 
 @pytest.mark.parametrize('speed', [4.0, 0.01, 0.0])
