@@ -1,12 +1,12 @@
 """
 Checks of stamps and poses, live and recorded.
 
-A state machine judges header stamps by their times of arrival. A single wrong stamp is rejected; a
-consistent run of them is accepted: a clock was set, or a recording has restarted. Recorded
-messages are judged by the same state machine. If a clock was set back, the stamps before and after
-the change overlap; as few messages as possible are then omitted.
+Live, a state machine judges header stamps by their times of arrival. A single wrong stamp is
+rejected; a consistent run of them is accepted: a clock was set, or a recording has restarted. Of
+recorded messages, the longest strictly increasing sequence of stamps is used.
 """
 
+from bisect import bisect_left
 import math
 from typing import NamedTuple
 
@@ -159,78 +159,32 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps) -> dict[str, Mask]:
     Returns
     -------
     dict of str to bool array (N,)
-        The other messages have strictly increasing stamps.
+        The other messages have strictly increasing stamps, and are as many as possible.
 
     """
-    unusable = {reason: np.zeros(len(stamps_ns), dtype=bool) for reason in REASONS}
-    if _are_plain(stamps_ns, arrivals_ns):
-        return unusable
-    accepted: list[Stamps] = []
-    for part in _parts(stamps_ns, arrivals_ns, unusable):
-        while len(part) and accepted and stamps_ns[accepted[-1][-1]] >= stamps_ns[part[0]]:
-            before = accepted.pop()
-            ahead = stamps_ns[before] >= stamps_ns[part[0]]
-            behind = stamps_ns[part] <= stamps_ns[before[-1]]
-            if _first_is_smaller_loss((ahead, before), (behind, part)):
-                unusable['future_stamp'][before[ahead]] = True
-                before = before[~ahead]
-            else:
-                unusable['backward_stamp'][part[behind]] = True
-                part = part[~behind]
-            if len(before):
-                accepted.append(before)
-        if len(part):
-            accepted.append(part)
-    unusable['backward_stamp'] &= ~_in_place(stamps_ns, unusable)
-    return unusable
+    kept = _longest_increasing(stamps_ns)
+    ages = (arrivals_ns - stamps_ns)[kept[-BACKWARD_RUN:]]
+    if len(ages) == BACKWARD_RUN and ages[:-1].min() - ages[-1] > LEAP_NS:
+        kept = kept[:-1]  # after the last message, no stamp shows that its stamp is in the future
+    unused = np.isin(np.arange(len(stamps_ns)), kept, invert=True)
+    before = np.maximum.accumulate(np.where(unused, -1, stamps_ns))
+    return dict(zip(REASONS, (
+        unused & (stamps_ns == before), unused & (stamps_ns < before),
+        unused & (stamps_ns > before)), strict=True))
 
 
-def _in_place(stamps_ns: Stamps, unusable: dict[str, Mask]) -> Mask:
-    """Return a mask of seemingly late messages that lie between their neighbours."""
-    bad = np.logical_or.reduce(list(unusable.values()))
-    before = np.maximum.accumulate(np.where(bad, -1, stamps_ns))
-    after = np.minimum.accumulate(np.where(bad, np.iinfo(np.int64).max, stamps_ns)[::-1])[::-1]
-    in_place: Mask = unusable['backward_stamp'] & (before < stamps_ns) & (stamps_ns < after)
-    stamps = stamps_ns[in_place]
-    largest_before = np.maximum.accumulate(np.concatenate([[-1], stamps]))[:-1]
-    in_place[in_place] = stamps > largest_before
-    return in_place
-
-
-def _first_is_smaller_loss(one: tuple[Mask, Stamps], other: tuple[Mask, Stamps]) -> bool:
-    """
-    Return whether the overlapping stamps of the first of two parts are dropped.
-
-    If both parts lose a similar number of messages, the stamps of the shorter part are dropped,
-    which is the same choice for all topics of a recording.
-    """
-    costs = np.count_nonzero(one[0]), np.count_nonzero(other[0])
-    if max(costs) > 2 * min(costs):
-        return bool(costs[0] < costs[1])
-    return len(one[1]) < len(other[1])
-
-
-def _are_plain(stamps_ns: Stamps, arrivals_ns: Stamps) -> bool:
-    """Return whether the screen would accept all stamps, without checking each."""
-    ages = arrivals_ns - stamps_ns
-    leaps = np.maximum.accumulate(ages)[:-1] - ages[1:] > LEAP_NS
-    return not np.any(leaps | (np.diff(stamps_ns) <= 0))
-
-
-def _parts(
-    stamps_ns: Stamps, arrivals_ns: Stamps, unusable: dict[str, Mask]
-) -> list[Stamps]:
-    """Return the indices of the usable messages between the times at which a clock was set."""
-    screen = StampScreen()
-    parts: list[list[int]] = [[]]
-    for i, (stamp_ns, arrival_ns) in enumerate(zip(
-            stamps_ns.tolist(), arrivals_ns.tolist(), strict=True)):
-        reason = screen.judge_stamp(stamp_ns, arrival_ns)
-        if reason in unusable:
-            unusable[reason][i] = True
-            continue
-        if reason:
-            parts.append([])
-        parts[-1].append(i)
-        screen.accept_stamp(stamp_ns, arrival_ns, reason)
-    return [np.array(part, dtype=np.int64) for part in parts if part]
+def _longest_increasing(stamps_ns: Stamps) -> Stamps:
+    """Return the indices of a longest sequence of strictly increasing stamps."""
+    if np.all(np.diff(stamps_ns) > 0):
+        return np.arange(len(stamps_ns))
+    ends, lasts = list[int](), list[int]()  # smallest last stamp of sequences of each length
+    before = np.full(len(stamps_ns), -1)
+    for i, stamp_ns in enumerate(stamps_ns.tolist()):
+        length = bisect_left(ends, stamp_ns)
+        if ends[length:length + 1] != [stamp_ns]:
+            before[i] = lasts[length - 1] if length else -1
+            ends[length:length + 1], lasts[length:length + 1] = [stamp_ns], [i]
+    sequence = [lasts[-1]]
+    while (previous := int(before[sequence[-1]])) >= 0:
+        sequence.append(previous)
+    return np.array(sequence[::-1])

@@ -1,6 +1,6 @@
-"""Which stamps of a recording are left out: as few as the live screen would refuse, or fewer."""
+"""Which stamps of a recording are left out: as few as possible."""
 
-from bellows_ros.core.signals.screening import REASONS, StampScreen, unusable_stamps
+from bellows_ros.core.signals.screening import unusable_stamps
 import numpy as np
 import pytest
 
@@ -28,19 +28,6 @@ def left_out(stamps, arrivals):
     return {reason: np.flatnonzero(mask).tolist() for reason, mask in found.items() if mask.any()}
 
 
-def live(stamps, arrivals):
-    """Give how many stamps the live screen refuses."""
-    screen = StampScreen()
-    refused = 0
-    for stamp, arrival in zip(stamps.tolist(), arrivals.tolist(), strict=True):
-        reason = screen.judge_stamp(stamp, arrival)
-        if reason in REASONS:
-            refused += 1
-        else:
-            screen.accept_stamp(stamp, arrival, reason)
-    return refused
-
-
 @pytest.mark.parametrize('ahead', [25 * MS, 100 * MS, 5 * S, 3600 * S])
 @pytest.mark.parametrize('at', [100, 1000, COUNT - 1])
 def test_one_future_stamp_is_the_only_omitted_one(at, ahead):
@@ -66,10 +53,10 @@ def test_a_clock_that_is_set_back_costs_the_shorter_part_of_what_overlaps(at, se
     assert overlap <= lost <= overlap + 1
 
 
-def test_a_clock_that_is_set_forward_costs_one_pose():
+def test_a_clock_that_is_set_forward_costs_no_pose():
     stamps, arrivals = sent()
     stamps[2000:] += 3600 * S
-    assert left_out(stamps, arrivals) == {'future_stamp': [2000]}
+    assert left_out(stamps, arrivals) == {}
 
 
 def test_pauses_and_late_arrivals_are_no_faults():
@@ -82,14 +69,13 @@ def test_pauses_and_late_arrivals_are_no_faults():
     assert left_out(stamps[:1], arrivals[:1]) == {}
 
 
-def test_no_more_are_lost_than_are_wrong_or_live():
+def test_no_more_are_lost_than_are_wrong():
     rng = np.random.default_rng(2)
     for _ in range(60):
         stamps, arrivals = sent(600)
         right = stamps.copy()
-        faults = rng.integers(20, 600, size=rng.integers(1, 6))
-        for at in faults:
+        for at in rng.integers(20, 600, size=rng.integers(1, 6)):
             stamps[at:at + rng.integers(1, 4)] += rng.choice([-S, -5 * MS, 30 * MS, S, 3600 * S])
         wrong = np.count_nonzero(stamps != right)
         lost = sum(map(len, left_out(stamps, arrivals).values()))
-        assert lost <= max(wrong + len(faults), live(stamps, arrivals))
+        assert lost <= wrong
