@@ -470,10 +470,6 @@ def unit_doubts(
         doubts.append(
             f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '
             f'{MAX_MASS:g} kg. Is it in another unit?')
-    others = sum(moments) - max(moments)
-    if max(moments) > others * (1.0 + INERTIA_ROUNDING):
-        doubts.append(
-            f'{no_body(moments)} The nearest is used.')
     gyration = float(np.sqrt(np.sum(moments) / mass))
     if gyration > GYRATION[-1]:
         doubts.append(

@@ -118,8 +118,11 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
 
 def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a sentence for each allowed but unlikely value of the package or the cup."""
-    return (*structure.unit_doubts(
-        values['package.mass'], values['package.inertia'][:3], values['package.com'][2]),
+    moments = values['package.inertia'][:3]
+    is_flat = max(moments) > (1.0 + structure.INERTIA_ROUNDING) * (sum(moments) - max(moments))
+    return (
+        *structure.unit_doubts(values['package.mass'], moments, values['package.com'][2]),
+        *(f'{structure.no_body(moments)} The nearest is used.',) * is_flat,
         *structure.cup_doubts(structure.matrix(values['cup.stiffness']), values['cup.length']))
 
 

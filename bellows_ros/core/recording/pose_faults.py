@@ -111,9 +111,6 @@ MAX_UP = -0.5
 """Largest vertical component of the tool's z axis (median) that points out of the arm: 120 degrees
 from the vertical, beyond any tilt of a recording."""
 
-MAX_COM_HEIGHT = 1e-3
-"""Largest height of a centre of mass above the lip, m: z of the lip points into the cup."""
-
 TWIST_WINDOW = 0.05
 """Time over which a twist is compared with poses, s: a sixth of a swing."""
 
@@ -367,21 +364,11 @@ def impossible_packages(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a mass, an inertia or a centre of mass that no package of a cup has."""
     if poses.payload is None:
         return
-    mass, com, moments = poses.payload.mass, poses.payload.com, np.diag(poses.payload.inertia)
-    gyration = float(np.sqrt(np.sum(moments) / mass))
-    if com[2] > MAX_COM_HEIGHT:
-        yield Finding('com_inside', Level.ERROR, {'height': float(com[2])})
-    if mass > structure.MAX_MASS:
-        yield Finding('unit', Level.ERROR, {
-            'value': f'{mass:.4g} kg', 'unit': 'g'}, 'package.mass')
-    elif tuple(moments) == NO_INERTIA[:3]:
-        return
-    elif gyration > structure.GYRATION[-1]:
-        yield Finding('unit', Level.ERROR, {
-            'value': f'{", ".join(f"{x:.4g}" for x in moments)} kg m^2',
-            'unit': structure.unit_of_inertia(gyration)}, 'package.inertia')
-    elif sentence := structure.too_dense(mass, gyration):
-        yield Finding('too_dense', Level.ERROR, {'sentence': sentence})
+    moments = np.diag(poses.payload.inertia).tolist()
+    if tuple(moments) != NO_INERTIA[:3]:
+        for doubt in structure.unit_doubts(
+                poses.payload.mass, moments, float(poses.payload.com[2])):
+            yield Finding('implausible', Level.ERROR, {'sentence': doubt})
 
 
 def wrong_twists(poses: RecordedPoses) -> Iterator[Finding]:

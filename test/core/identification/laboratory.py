@@ -378,9 +378,9 @@ FAULTS = {
     'centre of mass along z': (_com_along, 'com'),
     'centre of mass aside': (_com_aside, 'com'),
     'length': (_length, 'length'),
-    'inertia in g m^2': (lambda own: own.say(inertia=1e3), 'unit'),
+    'inertia in g m^2': (lambda own: own.say(inertia=1e3), 'implausible'),
     'inertia': (_inertia, 'inertia'),
-    'mass in grams': (lambda own: own.say(mass=1e3), 'unit'),
+    'mass in grams': (lambda own: own.say(mass=1e3), 'implausible'),
     'world': (_world, 'recording.world'),
     'yaw': (_yaw, 'yaw'),
     'package frame': (_frame, 'package_frame'),
@@ -423,7 +423,7 @@ FAULTS = {
     'clock steps': (_misread(lambda body: replace(
         body, clock_steps=((int(body.stamps_ns[len(body) // 2]), 0.3),))), 'clock_step'),
     'centre of mass in the cup': (
-        lambda own: own.say(com=[0.0, 0.0, -2.0 * own.package.com[2]]), 'com_inside'),
+        lambda own: own.say(com=[0.0, 0.0, -2.0 * own.package.com[2]]), 'implausible'),
     'inertia about other axes': (_other_axes, 'inertia'),
 }
 """What makes a laboratory faulty, and the name of the cause, or words of the error."""
