@@ -129,6 +129,12 @@ def inlined_entry(function: Function) -> Function:
     return numba.njit(cache=FOLDER is not None, **INLINED)(function) if COMPILED else function
 
 
+def interpreted(function: Function) -> Function:
+    """Return the Python function of an entry."""
+    plain: Function = getattr(function, 'py_func', function)
+    return plain
+
+
 def announce(tell: Callable[[], object]) -> None:
     """Call a function once, before the first entry is compiled in this process."""
     if not COMPILED:

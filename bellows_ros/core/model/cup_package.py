@@ -257,13 +257,10 @@ def gravity_vector(gravity: float | ArrayLike) -> Array:
 
 
 def regressor(
-    length: float, basis: list[Array], position: Array, rotation: Array, twist: Array,
-    has_stretch: bool = False,
+    length: float, basis: list[Array], position: Array, rotation: Array, twist: Array
 ) -> Array:
     """
     Return the regressor L (N, 6, 2 n) of the wrench at the lip, L x (4.67), linear in K and P.
-
-    With stretch, L has two more columns, by its coefficients a and b.
 
     Parameters
     ----------
@@ -274,35 +271,16 @@ def regressor(
         P.
     position, rotation, twist : ndarray (N, 3), (N, 3, 3), (N, 6)
         E_o_S (m), E_R_S and the body twist of the lip relative to the tool.
-    has_stretch : bool
-        Whether L has the columns of stretch.
 
     """
     zero, units = blocks(np.zeros((6, 6))), [blocks(unit) for unit in basis]
-    cups: list[CupTuple] = [(0.5 * length, length, K, P) for K, P in (
-        *((unit, zero) for unit in units), *((zero, unit) for unit in units),
-        *(((*zero, unit), zero) for unit in ((1.0, 0.0), (0.0, 1.0)) if has_stretch))]
-    o, R = position.T.copy(), rotation.reshape(-1, 9).T.copy()
-    v, w = twist[:, :3].T.copy(), twist[:, 3:].T.copy()
-    L = np.empty((len(position), 6, len(cups)))
-    for column, cup in enumerate(cups):
-        if jit.COMPILED:
-            _wrenches(cup, o, R, v, w, L[:, :, column])
-        else:  # the kernel's arithmetic also holds for tuples of arrays
-            columns: Any = (tuple(o), tuple(R), tuple(v), tuple(w), ())
-            L[:, :, column] = np.concatenate(kernels.cup_wrench(cup, *columns)).T
-    return L
-
-
-@jit.entry
-def _wrenches(cup: CupTuple, o: Array, R: Array, v: Array, w: Array, out: Array) -> None:
-    """Write the cup's wrench for every sample into out (N, 6)."""
-    for k in range(o.shape[1]):
-        f, m = kernels.cup_wrench(
-            cup, (o[0, k], o[1, k], o[2, k]), kernels.matrix_of(R[:, k]),
-            (v[0, k], v[1, k], v[2, k]), (w[0, k], w[1, k], w[2, k]), ())
-        out[k, 0], out[k, 1], out[k, 2] = f
-        out[k, 3], out[k, 4], out[k, 5] = m
+    # The kernel's arithmetic also holds for tuples of arrays.
+    sampled: Any = (tuple(position.T.copy()), tuple(rotation.reshape(-1, 9).T.copy()),
+                    tuple(twist[:, :3].T.copy()), tuple(twist[:, 3:].T.copy()))
+    cup_wrench = jit.interpreted(kernels.cup_wrench)
+    return np.stack([np.concatenate(cup_wrench((0.5 * length, length, K, P), *sampled)).T
+                     for K, P in (*((unit, zero) for unit in units),
+                                  *((zero, unit) for unit in units))], axis=2)
 
 
 def box_inertia(mass: float, depth: float, width: float, height: float) -> Array:

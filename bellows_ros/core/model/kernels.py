@@ -441,10 +441,10 @@ def rates(
 
 
 @inlined_kernel
-def stages(
+def step(
     model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
-) -> tuple[State, State, State, State]:
-    """Return the package's states at the second to fourth stage of a step, and at its end."""
+) -> State:
+    """Return the package's state after h, by tool states at start, middle and end (RKMK4)."""
     half = 0.5 * h
     a = rates(model, tool, body, body[3])
     body2 = stage_state(body, half, *a)
@@ -459,15 +459,7 @@ def stages(
         weighted_strains(a[4], b[4], c[4], d[4]))
     q = end[1]  # normalised to first order, so that rounding errors do not accumulate
     k = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return body2, body3, body4, with_rotation(end, (k * q[0], k * q[1], k * q[2], k * q[3]))
-
-
-@inlined_kernel
-def step(
-    model: ModelTuple, body: State, tool: State, tool_middle: State, tool_end: State, h: float
-) -> State:
-    """Return the package's state after h, by tool states at start, middle and end (RKMK4)."""
-    return stages(model, body, tool, tool_middle, tool_end, h)[3]
+    return with_rotation(end, (k * q[0], k * q[1], k * q[2], k * q[3]))
 
 
 @inlined_kernel

@@ -151,7 +151,7 @@ def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSampl
 
 
 def warm_up() -> None:
-    """Return a link's pose at a stamp between two samples, the rotation along the chord."""
+    """Compute poses of a chain once, before the first message."""
     chain, q = Chain('world', 'tool'), (0.0, 0.0, 0.0, 1.0)
     for stamp_ns in range(5):
         parent, child = ('world', 'base', 'tool')[stamp_ns % 2:][:2]

@@ -39,16 +39,15 @@ def test_the_spring_wrench_is_the_gradient_of_the_energy(stretch):
     assert_allclose(np.hstack(wrench), np.negative(gradient), rtol=1e-7)
 
 
-@pytest.mark.parametrize('stretch', [STRETCH, ()])
-def test_regressor_times_parameters_is_the_wrench(stretch):
+def test_regressor_times_parameters_is_the_wrench():
     rng, full = np.random.default_rng(4), STRUCTURES['full']
-    cup = replace(random_cup(rng), stretch=stretch or (0.0, 0.0))
+    cup = random_cup(rng)
     T = np.array([random_pose(rng, 0.5, 0.02) for _ in range(7)])
     T[:, 2, 3] -= cup.length
     v = rng.standard_normal((7, 6))
-    L = regressor(cup.length, full.basis, T[:, :3, 3], T[:, :3, :3], v, bool(stretch))
-    x = np.hstack([full.parameters(cup.stiffness, cup.damping), stretch])
-    assert_allclose(L @ x, oracle.wrench_at_lip(cup, T, v), rtol=1e-10, atol=1e-9)
+    L = regressor(cup.length, full.basis, T[:, :3, 3], T[:, :3, :3], v)
+    assert_allclose(L @ full.parameters(cup.stiffness, cup.damping),
+                    oracle.wrench_at_lip(cup, T, v), rtol=1e-10, atol=1e-9)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
