@@ -174,17 +174,16 @@ def unusable_stamps(stamps_ns: Stamps, arrivals_ns: Stamps) -> dict[str, Mask]:
 
 
 def _longest_increasing(stamps_ns: Stamps) -> Stamps:
-    """Return the indices of a longest sequence of strictly increasing stamps."""
+    """Return the indices of a longest sequence of increasing stamps, early ones if possible."""
     if np.all(np.diff(stamps_ns) > 0):
         return np.arange(len(stamps_ns))
-    ends, lasts = list[int](), list[int]()  # smallest last stamp of sequences of each length
-    before = np.full(len(stamps_ns), -1)
-    for i, stamp_ns in enumerate(stamps_ns.tolist()):
-        length = bisect_left(ends, stamp_ns)
-        if ends[length:length + 1] != [stamp_ns]:
-            before[i] = lasts[length - 1] if length else -1
-            ends[length:length + 1], lasts[length:length + 1] = [stamp_ns], [i]
-    sequence = [lasts[-1]]
-    while (previous := int(before[sequence[-1]])) >= 0:
-        sequence.append(previous)
-    return np.array(sequence[::-1])
+    begins, firsts = list[int](), list[int]()  # latest first stamp of sequences of each length
+    after = np.full(len(stamps_ns), -1)
+    for i, stamp_ns in reversed(list(enumerate(stamps_ns.tolist()))):
+        length = bisect_left(begins, -stamp_ns)
+        after[i] = firsts[length - 1] if length else -1
+        begins[length:length + 1], firsts[length:length + 1] = [-stamp_ns], [i]
+    sequence = [firsts[-1]]
+    while (following := int(after[sequence[-1]])) >= 0:
+        sequence.append(following)
+    return np.array(sequence)
