@@ -27,8 +27,8 @@ import numpy as np
 SHOWN = [0, 2, 3, 5]
 """Indices of the shown entries on the diagonal of K."""
 GIVEN: dict[str, Any] = {
-    'bags': ('simulated',), 'fit.method': 'output_error', 'fit.time_offset': True,
-    'recording.package_world': 'estimate', 'fit.free': ('package_marker', 'scale'),
+    'bags': ('simulated',), 'fit.method': 'output_error',
+    'recording.package_world': 'estimate', 'fit.free': ('time_offset', 'package_marker', 'scale'),
     'recording.package_frame': 'com', 'recording.world': 'z_up', 'recording.align_at_rest': False,
     'topics.tool_pose': '/tcp_pose_broadcaster/pose', 'topics.package_pose': '/camera/box',
     'tool_pose.offset': '0 0 0 1 0 0 0', 'package.mass': 1.8, 'package.com': (0.0, 0.0, -0.03),

@@ -51,7 +51,7 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 TRANSFORM = 'geometry_msgs/msg/TransformStamped'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
-LIP_FRAME = 'cup_lip'
+LIP_FRAME, PACKAGE_FRAME = 'cup_lip', 'package'
 """Name of the frame S of the cup's lip; no transform has it, so that no other cell's may clash."""
 
 DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'

@@ -17,7 +17,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, require_names, shown
-from bellows_ros.files.messages import HEAD, LIP_FRAME
+from bellows_ros.files.messages import HEAD, LIP_FRAME, PACKAGE_FRAME
 import numpy as np
 
 MULTI_DOF = 'trajectory_msgs/msg/MultiDOFJointTrajectory'
@@ -150,7 +150,7 @@ def require_frame(frame_id: str, values: Values) -> None:
         If the frame is of the tool, the lip or the package.
 
     """
-    if frame_id in (values.frames.tool, LIP_FRAME, values.frames.package):
+    if frame_id in (values.frames.tool, LIP_FRAME, PACKAGE_FRAME):
         raise BellowsError(
             f"The plan is in frame '{shown(frame_id)}', which moves; expected one in which "
             "gravity keeps its direction, such as the arm's base. Transform the plan.")

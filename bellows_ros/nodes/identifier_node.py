@@ -39,7 +39,7 @@ class IdentifierNode(TableNode):
     Attributes
     ----------
     finished : rclpy.task.Future
-        Done after the work if `exit_when_done` is set; raises the error of the work.
+        Raises the error of the work, if any.
 
     Raises
     ------
@@ -72,10 +72,7 @@ class IdentifierNode(TableNode):
             cup = self._show(result)
             if self.values.predictor:
                 self._set_on_predictor(cup)
-            if self.values.exit_when_done:
-                self.finished.set_result(None)
-            else:
-                self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
+            self.get_logger().info('Done; the result stays here as parameters until Ctrl-C.')
         except Exception as error:  # noqa: BLE001 (raised again where the end is awaited)
             self.finished.set_exception(error)
 

@@ -175,7 +175,7 @@ class Outputs:
         self.use_values()
         self.pose = Topic(geometry.PoseStamped, 'package/pose', self._make_pose)
         self._twist = Topic(geometry.TwistStamped, 'package/twist', lambda now: pack(
-            messages.TWIST, self._package_frame(), now.stamp_ns, *now.linear, *now.angular))
+            messages.TWIST, (messages.PACKAGE_FRAME,), now.stamp_ns, *now.linear, *now.angular))
         self._wrench = Topic(geometry.WrenchStamped, 'cup/wrench', lambda now: pack(
             messages.WRENCH, (messages.LIP_FRAME,), now.stamp_ns, *now.force, *now.moment))
         self._safety = Topic(geometry.Vector3Stamped, 'cup/safety_factor')
@@ -195,7 +195,7 @@ class Outputs:
             from tf2_msgs.msg import TFMessage
 
             self._tf = Topic(TFMessage, '/tf', lambda now: pack(
-                messages.TRANSFORMS, (shared.live.frame_id, *self._package_frame()),
+                messages.TRANSFORMS, (shared.live.frame_id, messages.PACKAGE_FRAME),
                 now.stamp_ns, *now.position, *now.quaternion_xyzw))
         for part in list(vars(self).values()):
             if isinstance(part, Topic):
@@ -209,10 +209,6 @@ class Outputs:
         """Continue with another cup or package."""
         self._picture = Markers(self._shared.values)
 
-    def _package_frame(self) -> tuple[str]:
-        """Return the frame of the package."""
-        return (self._shared.values.frames.package,)
-
     def _make_pose(self, now: Prediction) -> bytes:
         """Return the pose of the package in the frame of the tool's poses."""
         return pack(messages.POSE, (self._shared.live.frame_id,), now.stamp_ns, *now.position,
@@ -222,7 +218,7 @@ class Outputs:
         """Return pose and twist, with large covariance while it is unknown."""
         is_known = now is not uncertainty.STILL and self._odometry.is_ready
         P = self._shared.live.covariance(now.stamp_ns) if is_known else None
-        return odometry(self._shared.live.frame_id, *self._package_frame(), now,
+        return odometry(self._shared.live.frame_id, messages.PACKAGE_FRAME, now,
                         uncertainty.UNKNOWN if P is None else P)
 
     def _make_deflection(self, now: Prediction) -> bytes:

@@ -133,7 +133,7 @@ class Planning:
         motion = Trajectory(tool.stamps_ns, states[:, :3], quaternion_to_rotation(states[:, 3:7]),
                             states[:, 7:])
         message = plan_messages.plan_message(
-            motion, plan.stamp_ns, frame, values.frames.package, values.tool_twist.frame)
+            motion, plan.stamp_ns, frame, messages.PACKAGE_FRAME, values.tool_twist.frame)
         if self._plan_out.subscribed:
             self._plan_out.publish(plan_messages.encode_multi_dof(message))
         if self._path_out.subscribed:

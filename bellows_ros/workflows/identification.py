@@ -303,8 +303,8 @@ class Identification(CommandResult):
             delay, delay_std = self.fit.delays[number], self.fit.delays_std[number]
         if delay and abs(delay) < 0.5 and math.isfinite(delay_std):  # s
             yield 'measured.latency', (
-                is_measured(self.values) * self.values.measured.latency - delay,
-                np.array(delay_std), 's')
+                [is_measured(self.values) * self.values.measured.latency[0] - delay, min(
+                    delay_std, 0.5)], np.zeros(2), 's')
 
     @property
     def notes(self) -> tuple[str, ...]:

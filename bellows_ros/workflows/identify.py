@@ -124,10 +124,7 @@ def resolved(settings: Mapping[str, Any]) -> Values:
     """Return all parameters of a run, or raise BellowsError for missing ones."""
     required = () if settings.get('package.files') else checks.RECORDING_PARAMETERS
     values = checks.resolve(settings, required)
-    free = values.fit.free
-    if 'time_offset' in free:
-        values = values.replaced({'fit.time_offset': True})
-    if not values.recording.package_world and 'package_world' in free:
+    if not values.recording.package_world and 'package_world' in values.fit.free:
         values = values.replaced({'recording.package_world': checks.ESTIMATE})
     conversion.given_structure(values)
     if values.output.report:

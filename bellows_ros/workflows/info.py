@@ -365,7 +365,7 @@ def _both_bodies(
     if separate:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
-            'fit.time_offset': True, 'fit.free': ('package_marker',),
+            'fit.free': ('time_offset', 'package_marker'),
             'recording.package_frame': 'com'}
         found += _of_tag(package)
     elif pair:

@@ -38,7 +38,7 @@ from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, Tr
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results, safe_yaml
-from bellows_ros.files.messages import POSE, TWIST
+from bellows_ros.files.messages import PACKAGE_FRAME, POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
 from bellows_ros.report.findings import entry, text
 from bellows_ros.workflows import CommandResult, recordings
@@ -650,7 +650,7 @@ def write_prediction(
     plan = plan_messages.plan_message(tip, 0, frame, 'tool', axes)
     package = plan_messages.plan_message(
         simulation.ToolRows(stamps, states).trajectory(), start, frame,
-        source.values.frames.package, axes)
+        PACKAGE_FRAME, axes)
     joints = []
     if source.joints is not None:
         motion = source.joints.along(tool, source.tool)

@@ -245,8 +245,8 @@ def _prepared(
     if values.recording.package_world == '':
         prepared.require_one_frame(tool, package)
     world = values.recording.package_world
-    registers = bool(values.fit.time_offset or world == checks.ESTIMATE
-                     or 'package_marker' in values.fit.free)
+    registers = world == checks.ESTIMATE or bool(
+        {'time_offset', 'package_marker'} & set(values.fit.free))
     package = as_measured(in_camera(package, tool.frame_id, values), values)
     found = pose_remarks(RecordedPoses(
         tool, package, settings.R_world_recorded, settings.payload, settings.align_at_rest, twist,
@@ -313,7 +313,7 @@ def as_measured(package: PoseStream, values: Values) -> PoseStream:
     """Return recorded poses of the package corrected by the stated latency and scale."""
     if not is_measured(values):
         return package
-    return replace(trajectory.earlier(package, values.measured.latency),
+    return replace(trajectory.earlier(package, values.measured.latency[0]),
                    position=values.measured.scale * package.position)
 
 

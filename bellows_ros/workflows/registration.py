@@ -31,9 +31,9 @@ def registered_recording(
     values: Values,
 ) -> Recording:
     """Return prepared streams, in the world of the tool and on its clock."""
-    failures = []
+    failures, is_late = [], 'time_offset' in values.fit.free
     for rough_s in frames.rough_offsets(
-            tool.trajectory(), package.trajectory()) if values.fit.time_offset else (0.0,):
+            tool.trajectory(), package.trajectory()) if is_late else (0.0,):
         try:
             return _registered(
                 trajectory.earlier(tool, rough_s), package,
@@ -58,12 +58,13 @@ def _registered(
         return prepare(tool, moved, settings.in_world(pose), twist, alignment)
 
     recording = filtered(alignment)
-    late_s = likely_delay(recording) if values.fit.time_offset else None
+    is_late = 'time_offset' in values.fit.free
+    late_s = likely_delay(recording) if is_late else None
     if late_s:
         tool = trajectory.earlier(tool, late_s)
         twist = twist and trajectory.earlier(twist, late_s)
         rough_s, recording = rough_s + late_s, filtered(alignment)
-    tells_clock = values.fit.time_offset and (late_s is not None or _turn(tool, package))
+    tells_clock = is_late and (late_s is not None or _turn(tool, package))
     found = _estimated(recording, values, tells_clock, marked)
     changes, estimates = dict[str, Any](), {
         name: found.estimate(name) for name in found.problem.places} if found else {}
@@ -86,7 +87,7 @@ def _registered(
     if std < KINDS['time_offset'].max_std:
         recording = with_tool_earlier(recording, float(offset))
         changes['time_offset'] = TimeOffset(rough_s + float(offset), float(std))
-    elif values.fit.time_offset:
+    elif is_late:
         changes['remarks'] = (*recording.report.remarks, Finding('no_offset'))
     return replace(recording, report=replace(recording.report, **changes))
 

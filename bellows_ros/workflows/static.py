@@ -153,7 +153,7 @@ def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress
             raise BellowsError(
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "
                 'its seven numbers: they are in the cup file of an identification with a motion.')
-        at_rest = parameters.replaced({'topics.tool_twist': '', 'fit.time_offset': False})
+        at_rest = parameters.replaced({'topics.tool_twist': '', 'fit.free': ()})
         recordings.append(reading.load(
             bag, at_rest, with_digest=True, accepted='tool_at_rest'))
         for _, words in reading.duplicates((each.name, each.digest) for each in recordings):

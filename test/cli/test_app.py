@@ -80,7 +80,7 @@ def test_a_wrong_command_line_is_explained(arguments, named, bellows):
     ('package.com=0,0,-3e-2', 'package.com', (0.0, 0.0, -0.03)),
     ("topics.tool_twist=''", 'topics.tool_twist', ''), ('topics.tool_pose=/a=b',
                                                         'topics.tool_pose', '/a=b'),
-    ('frames.package=7', 'frames.package', '7'),
+    ('frames.tool=7', 'frames.tool', '7'),
     ('recording.align_at_rest=True', 'recording.align_at_rest', True),
     ("bags=['one', two]", 'bags', ('one', 'two'))])
 def test_overrides_are_read_in_the_kind_of_the_parameter(text, name, value):

@@ -44,8 +44,8 @@ def test_a_wrong_cup_exits_with_1(bellows, workshop):
 def test_a_time_offset_is_printed_and_json_and_page_are_written(succeed, workshop, tmp_path):
     """Say what was taken from the tool's stamps, on the screen and the page; JSON on stdout."""
     page = tmp_path / 'page.html'
-    done = succeed('replay', 'recording', '--params', 'cup.yaml', '--set', 'fit.time_offset=true',
-                   '--report', page, '--json', '-', cwd=workshop)
+    done = succeed('replay', 'recording', '--params', 'cup.yaml', '--set',
+                   'fit.free=[time_offset]', '--report', page, '--json', '-', cwd=workshop)
     for text in (done.stderr, page.read_text()):
         assert re.search(
             r'recording: a \w+ stamp is 0\.0\d\d ms .* later than the \w+ stamp', text)

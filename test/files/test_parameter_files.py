@@ -55,7 +55,7 @@ BOTH = """
     package.mass: 1.0
     qos_overrides: {/tool_arm/pose: {subscription: {depth: 5}}}
 predictor:
-  ros__parameters: {package.mass: 2.0, frames.package: box}
+  ros__parameters: {package.mass: 2.0, frames.tool: flange}
 /cell/identifier:
   ros__parameters: {package.mass: 3.0}
 camera:
@@ -64,7 +64,7 @@ camera:
 
 
 def test_a_node_is_given_what_ros_would_give_it(file):
-    assert file(BOTH, 'predictor') == {'package.mass': 2.0, 'frames.package': 'box'}
+    assert file(BOTH, 'predictor') == {'package.mass': 2.0, 'frames.tool': 'flange'}
     assert file(BOTH, 'identifier') == {'package.mass': 3.0}
     with pytest.raises(BellowsError, match=r'7.*package\.mass'):
         file(BOTH)

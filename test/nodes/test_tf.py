@@ -62,7 +62,7 @@ def apriltag_msgs(build, monkeypatch):
 
 def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
     """Send the transform from the tool's frame to the package's for every prediction."""
-    partner = make_partner({**PACKAGE, 'frames.package': 'box'}, with_twists=False)
+    partner = make_partner(PACKAGE, with_twists=False)
     got = partner.hears(tf2_msgs.TFMessage, '/tf')
     partner.connect()
     partner.wait(lambda: partner.predictor.pipeline.outputs._tf.subscribed)
@@ -75,7 +75,7 @@ def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
     for message, pose in zip(got, partner.poses, strict=True):
         (shown,) = message.transforms
         assert shown.header == pose.header
-        assert shown.child_frame_id == 'box'
+        assert shown.child_frame_id == 'package'
         assert shown.transform.rotation == pose.pose.orientation
         assert vector(shown.transform.translation) == vector(pose.pose.position)
     assert len({message.transforms[0].transform.translation.x for message in got}) > 10

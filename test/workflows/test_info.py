@@ -166,12 +166,13 @@ def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside
         poses('/gripper_load', m['t'] + late_s, apply(R_world, m['o_p'] + aside),
               R_world @ m['R_p'], frame))
     free = {name: found.settings.get(name) for name in (
-        'recording.package_world', 'fit.time_offset', 'fit.free', 'fit.method')}
+        'recording.package_world', 'fit.free', 'fit.method')}
     assert any(reason in note for note in found.notes) if reason else not free['fit.free']
     assert frame != 'camera' or 'recording.world' not in found.settings
     if reason:
-        assert free == {'recording.package_world': 'estimate', 'fit.time_offset': True,
-                        'fit.free': ('package_marker',), 'fit.method': 'output_error'}
+        assert free == {
+            'recording.package_world': 'estimate', 'fit.method': 'output_error',
+            'fit.free': ('time_offset', 'package_marker')}
 
 
 @pytest.mark.parametrize(('signal', 'topic', 'kind'), [

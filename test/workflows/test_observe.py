@@ -74,7 +74,7 @@ def test_a_tag_is_named_in_the_observed_poses_alone(filmed):
     bag, values = filmed
     tag = {'measured.tag_size': 0.05, 'recording.package_world': '0 0 0 1 0 0 0'}
     as_body, as_tag, moved = (replay(bag, values.replaced(more), observe=CAMERA) for more in (
-        {}, tag, {**tag, 'measured.latency': 0.03, 'measured.scale': 1.1,
+        {}, tag, {**tag, 'measured.latency': (0.03, 0.008), 'measured.scale': 1.1,
                   'measured.offset': (0.05, 0.0, 0.0, 0.0, 0.0, 0.0)}))
     assert any(f"/{CAMERA}' at" in text and 'seem to come from a detected tag' in text
                for text in as_body.warnings)

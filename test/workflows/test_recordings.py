@@ -31,7 +31,7 @@ def behind(root, tmp_path_factory):
 def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
     """Find poses and twists, in all forms they are kept in, where they were before."""
     there = load(root / 'bags/validation', values)
-    moved = load(behind, values.replaced({'fit.time_offset': True}))
+    moved = load(behind, values.replaced({'fit.free': ('time_offset',)}))
     offset = moved.report.time_offset
     assert abs(offset.value - 0.0123) < max(4.0 * offset.std, 2e-5)
     assert offset.std < 5e-5
@@ -45,7 +45,7 @@ def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):
 
 
 def test_a_recording_without_an_identifiable_offset_keeps_its_stamps(root, values):
-    at_rest = values.replaced({'fit.time_offset': True, 'recording.end': 1.9})
+    at_rest = values.replaced({'fit.free': ('time_offset',), 'recording.end': 1.9})
     recording = load(root / 'bags/static', at_rest)
     assert recording.report.time_offset is None
     assert any('stamps were used unchanged' in warning for warning in recording.report.warnings)

@@ -41,7 +41,7 @@ def settings(root, known):
     return {
         **known, 'bags': [str(bags / 'identification')],
         'static.bags': [str(bags / 'static')], 'validation.bags': [str(bags / 'validation')],
-        'fit.time_offset': True, 'recording.end': 8.0}
+        'fit.free': ['time_offset'], 'recording.end': 8.0}
 
 
 @pytest.mark.parametrize(('method', 'unit'), [
@@ -49,7 +49,7 @@ def settings(root, known):
     pytest.param('output_error', ['m'] * 3 + ['rad'] * 3, marks=pytest.mark.skipif(
         not COMPILED, reason='numba is not installed: the fit takes minutes'))])
 def test_every_number_has_its_unit(settings, method, unit):
-    short = {'bags': settings['validation.bags'], 'validation.bags': [], 'fit.time_offset': False,
+    short = {'bags': settings['validation.bags'], 'validation.bags': [], 'fit.free': [],
              'recording.end': 4.0}
     asked = {**settings, 'fit.method': method, **(
         {} if method == 'least_squares' else short)}

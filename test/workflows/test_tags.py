@@ -22,8 +22,8 @@ EYE, TAG = np.array([0.9, 0.15, 0.1]), np.array([0.1, 0.01, 0.0])
 CORNERS = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
 SHOWN, TRUE = [0, 2, 3, 5], np.diag(CUP.stiffness)[[0, 2, 3, 5]]
 GIVEN = {
-    'topics.tool_pose': '/tool', 'topics.package_pose': '/detections', 'fit.time_offset': True,
-    'recording.package_world': 'estimate', 'fit.free': ['package_marker', 'scale'],
+    'topics.tool_pose': '/tool', 'topics.package_pose': '/detections',
+    'recording.package_world': 'estimate', 'fit.free': ['time_offset', 'package_marker', 'scale'],
     'recording.package_frame': 'com', 'recording.align_at_rest': False,
     'measured.tag_size': SIDE, 'package.mass': HELD.mass, 'package.com': HELD.com.tolist(),
     'package.inertia': [*np.diag(HELD.inertia), 0.0, 0.0, 0.0], 'cup.length': CUP.length}
@@ -112,7 +112,8 @@ def test_a_replay_is_rated_by_the_corners(factor, failing, root):
         'topics.package_pose': '/detections', 'tool_pose.offset': '0 0 0 1 0 0 0',
         'recording.package_frame': 'com', 'recording.align_at_rest': False,
         'recording.package_world': ' '.join(map(str, camera)),
-        'measured.tag_size': float(truth['side']), 'measured.latency': float(truth['late']),
+        'measured.tag_size': float(truth['side']),
+        'measured.latency': [float(truth['late']), 0.008],
         'measured.offset': [*truth['tag_o'], *log_so3(R_tag)],
         'measured.noise': [0.06 / 920, 10.0],
         'package.mass': 1.83, 'package.com': [0.004, -0.002, -0.031],

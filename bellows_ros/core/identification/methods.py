@@ -96,7 +96,7 @@ def fit(
     """
     result = fitted(recordings, values, progress, pairs, standstills=standstills)
     _require_motion(result)
-    if values.fit.time_offset:
+    if 'time_offset' in values.fit.free:
         result = _with_offsets(result, [
             reduced(recording, values.cup.length).time_offset for recording in recordings])
     if result.standstills and result.standstills[1] > MAX_MISFIT_TO_NOISE**2:
@@ -158,8 +158,7 @@ def fitted(
     if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
         start = start_cup(statistics, start)
     named = tuple(dict.fromkeys([
-        *values.fit.free, *['time_offset'] * values.fit.time_offset,
-        *['package_world'] * any(part.package_world for part in parts)]))
+        *values.fit.free, *['package_world'] * any(part.package_world for part in parts)]))
     return output_error(
         pairs.pool.keep(getitem, pairs, 0), structure, start,
         progress and partial(_report, progress), weak_prior(named), named, values.fit.relaxation,

@@ -79,7 +79,7 @@ class PoseSensor:
         self._origin: Vector = a, b, c
         self._world: Quaternion = qx, qy, qz, qw
         self._scale, self._late_ns = values.measured.scale, round(
-            NS_PER_S * values.measured.latency)
+            NS_PER_S * values.measured.latency[0])
         self.marker: Marker = (
             (x, y, z), t3.exp_quaternion((rotation[0], rotation[1], rotation[2])),
             values.measured.frame == 'lip', sensor_of(values, self._origin, self._world))

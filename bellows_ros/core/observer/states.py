@@ -235,7 +235,7 @@ def stated_by(values: Values, model: ModelTuple) -> Stated:
     return Stated(
         mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
         relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
-        camera, values.measured.latency_std, np.repeat(values.wrench.bias_std, 3),
+        camera, values.measured.latency[1], np.repeat(values.wrench.bias_std, 3),
         np.repeat(values.wrench.drift, 3), GAIN_STD)
 
 

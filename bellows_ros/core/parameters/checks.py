@@ -42,9 +42,6 @@ MIN_VACUUM = 1000.0
 MAX_INERTIA_STD = 0.2
 """Largest relative standard deviation that excuses an impossible inertia."""
 
-VACUUM_UNITS = ((1.1, 'bar', 1e5), (110.0, 'kPa', 1e3), (MIN_VACUUM, 'mbar', 1e2))
-"""Upper bounds of pressures in units other than Pa, each with the unit and its size in Pa."""
-
 
 def validate(name: str, value: object) -> Value:
     """
@@ -106,14 +103,7 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
     given = {name: validate(name, value) for name, value in values.items()}
     require(given, required)
     filled = {**{name: p.default for name, p in table.PARAMETERS.items()}, **given}
-    resolved = Values({name: value for name, value in filled.items() if value is not None})
-    holding = resolved['vacuum.holding']
-    if isinstance(holding, float) and 0.0 < holding < MIN_VACUUM:
-        _, unit, pascals = next(of for of in VACUUM_UNITS if holding < of[0])
-        raise BellowsError(
-            f'vacuum.holding is {holding:g} Pa, which holds nothing; expected 0 for unknown, or '
-            f'{MIN_VACUUM:g} Pa and more. If it is in {unit}, give {pascals * holding:g}.')
-    return resolved
+    return Values({name: value for name, value in filled.items() if value is not None})
 
 
 def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
@@ -252,28 +242,24 @@ _PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
     'cup.damping': lambda p, value: structure.require_damping(structure.matrix(value), p.name),
     'cup.layout': lambda p, value: structure.positions_of(value),
     'gravity.direction': lambda p, value: require_direction(value),
-    'release.correlation': lambda p, value: require_correlation(value),
-    'release.mass_range': lambda p, value: _require_mass_range(value)}
+    'release.mass_range': lambda p, value: _require_mass_range(*value),
+    'vacuum.holding': lambda p, value: _require_vacuum(value)}
 
 
-def require_correlation(numbers: Sequence[float]) -> None:
-    """Raise BellowsError for numbers that are not correlations of the law of release."""
-    C = np.reshape(numbers, (6, 6))
-    if not (np.allclose(C, C.T, atol=1e-6) and np.allclose(np.diag(C), 1.0, atol=1e-6)
-            and np.linalg.eigvalsh(C)[0] > -1e-3):
+def _require_vacuum(holding: float) -> None:
+    """Raise BellowsError for a vacuum (Pa) in another unit."""
+    if 0.0 < holding < MIN_VACUUM:
         raise BellowsError(
-            'release.correlation must be a symmetric and positive definite 6x6 matrix with 1 on '
-            'the diagonal, row-major. Take it from bellows identify --release, or leave it out.')
+            f'vacuum.holding is {holding:g} Pa, which holds nothing; expected 0 for unknown, or '
+            f'{MIN_VACUUM:g} Pa and more: 0.6 bar, 60 kPa and 600 mbar are 60000 Pa.')
 
 
-def _require_mass_range(masses: Sequence[float]) -> None:
+def _require_mass_range(lightest: float, heaviest: float) -> None:
     """Raise BellowsError for masses (kg) that are not a range or two zeros."""
-    lightest, heaviest = masses
-    if any(masses) and not 1e-6 <= lightest <= heaviest:
+    if (lightest or heaviest) and not 0.0 < lightest <= heaviest:
         raise BellowsError(
             f'release.mass_range is {lightest:g} to {heaviest:g} kg; expected the lightest '
-            'package of the drops, at least 1e-06 kg, and then the heaviest. Take both from '
-            'bellows identify --release, or leave them out.')
+            'package of the drops, and then the heaviest.')
 
 
 def require_direction(direction: ArrayLike) -> None:

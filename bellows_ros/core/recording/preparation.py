@@ -205,7 +205,7 @@ def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStrea
             for s in recorded)
         raise BellowsError(
             f'The stamps of tool and package do not overlap: {covered}. They are of two clocks or '
-            'two recordings: stamp both topics by one clock, or set fit.time_offset: true.')
+            'two recordings: stamp both topics by one clock, or set fit.free: [time_offset].')
     return common
 
 

@@ -65,6 +65,8 @@ MAX_CHI2 = 1.5
 
 TYPICAL_LAW: Law = (0.015, 0.02, 19.0, 0.02, 25.0, 2.4)
 """Law of a lengthening cup as the start of the fit, similar to the law of real drops."""
+OPENING = 0.08
+"""Time from the fall of the suction to the fall of a package by the typical law, s."""
 PRIOR_STD = 1.0
 """Prior standard deviation of the logarithm of a number: within a factor of 7 at 95 %."""
 MAX_RELATIVE_STD = 0.5
@@ -253,11 +255,8 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW) -> ReleaseFit:
         raise UndeterminedError(
             f'The release needs {MIN_DROPS} or more usable drops, got {len(drops)}. Record more.')
     expected = np.log(np.where(np.array(given) > 0.0, given, TYPICAL_LAW))
-    # about 12 drops lead near the law
-    subset = sorted(drops, key=lambda drop: drop.mass)[::max(1, len(drops) // 12)]
-    fall = float(np.median([_fall(drop) - drop.valve for drop in subset]))
-    fits = (_fitted(subset, start, expected) for start in _starts(subset, fall))
-    fit = _as_fit(drops, _fitted(drops, min(fits, key=lambda fit: fit.cost).x[:6], expected).x)
+    delay = max(float(np.median([*map(_fall, drops)])) - OPENING, 0.3 * TYPICAL_LAW[0])
+    fit = _as_fit(drops, _fitted(drops, np.append(np.log(delay), expected[1:]), expected).x)
     latest = max(abs(drop.own_delay) for drop in fit.drops)
     if latest < MAX_OWN * DELAY_STD and (fit.position <= MAX_RMS or fit.chi2 <= MAX_CHI2):
         return fit
@@ -269,15 +268,10 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW) -> ReleaseFit:
         'cup.stiffness or cup.length, or a valve stamped by another clock.')
 
 
-def _starts(drops: Sequence[Drop], fall: float) -> list[Array]:
-    """Return logarithms of laws as initial guesses, with the release at full length."""
-    weight = max(drop.mass for drop in drops) * float(np.linalg.norm(drops[0].model[2]))
-    reach = np.median([
-        np.linalg.norm(drop.package.position[np.searchsorted(drop.package.seconds, _fall(drop))]
-                       - drop.package.position[0]) for drop in drops])
-    damping, delay = max(drops[0].model[0][3][0][8], 10.0), 0.12 * fall
-    return [np.log([delay, 0.25 * (fall - delay), part * weight, reach / 1.5, damping, 3.0])
-            for part in (0.5, 1.0)]  # the suction is 0 after a quarter of the time
+def _fall(drop: Drop) -> float:
+    """Return the time from the valve to the last fall of a package, s."""
+    position, seconds = drop.package.position, drop.package.seconds
+    return float(seconds[free_fall_samples(position, seconds, drop.model[2])[0]] - drop.valve)
 
 
 def _fitted(drops: Sequence[Drop], start: Array, expected: Array) -> Any:
@@ -301,11 +295,11 @@ def _fitted(drops: Sequence[Drop], start: Array, expected: Array) -> Any:
         J[first:, :6] = np.eye(6) / PRIOR_STD
         return J
 
+    middle, own = np.append(expected, np.zeros(count)), np.zeros(count)
     reach = np.append(np.full(6, 5.0 * PRIOR_STD), np.full(count, 2.0 * MAX_OWN))
-    middle, first = (np.append(part, np.zeros(count)) for part in (expected, start))
     return least_squares(
-        residuals, first.clip(middle - 0.9 * reach, middle + 0.9 * reach), slopes,
-        (middle - reach, middle + reach), x_scale='jac', ftol=1e-6, max_nfev=60)
+        residuals, np.append(start, own), slopes, (middle - reach, middle + reach),
+        x_scale='jac', ftol=1e-6, max_nfev=60)
 
 
 def _as_fit(drops: Sequence[Drop], x: Array) -> ReleaseFit:
@@ -360,12 +354,6 @@ def _rms(values: Array) -> float:
 
 
 # ---------------------------------------------------------------------- drops of a recording
-
-
-def _fall(drop: Drop) -> float:
-    """Return the time at which the last fall of a package begins, s since the first stamp."""
-    position, seconds = drop.package.position, drop.package.seconds
-    return float(seconds[free_fall_samples(position, seconds, drop.model[2])[0]])
 
 
 def half_window(seconds: Array) -> int:

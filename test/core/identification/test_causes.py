@@ -162,7 +162,7 @@ def test_a_replay_names_clocks_that_are_apart():
             said = ' '.join(validated(parameters(laboratory), own).warnings)
         except BellowsError as error:
             said = str(error)
-        named.append('fit.time_offset' in said)
+        named.append('fit.free: [time_offset]' in said)
     assert named == [False, True]
 
 

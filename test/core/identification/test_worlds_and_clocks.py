@@ -26,8 +26,8 @@ def test_world_clock_and_marker_are_found_together():
     body = own.package
     position = (body.position + apply(body.rotation, way) - o_world) @ R_world
     values = resolve({
-        'bags': ('x',), 'fit.method': 'output_error', 'fit.time_offset': True,
-        'recording.package_world': 'estimate', 'fit.free': ('package_marker',),
+        'bags': ('x',), 'fit.method': 'output_error',
+        'recording.package_world': 'estimate', 'fit.free': ('time_offset', 'package_marker'),
         'recording.package_frame': 'com', 'recording.world': 'z_up',
         'recording.align_at_rest': False, 'package.mass': PLATE.mass,
         'package.com': tuple(PLATE.com), 'cup.length': 0.0481,
@@ -81,7 +81,7 @@ def reported(recording, **settings):
 
 def found(recording, structure='axisymmetric'):
     """Return the offset found in a recording."""
-    return reported(recording, fit__time_offset=True, fit__structure=structure).time_offset
+    return reported(recording, fit__free=['time_offset'], fit__structure=structure).time_offset
 
 
 @pytest.mark.parametrize('later', [-0.19, -0.0002, 0.0, 0.048, 0.24])

@@ -23,7 +23,7 @@ SETTINGS = {
     'package.inertia': [0.00438, 0.00654, 0.00984, 0.0, 0.0, 0.0],
     'tool_noise': (2e-5, 1e-4),
     'measured.camera_std': [0.0, 0.0], 'measured.marker_std': [0.0, 0.0],
-    'measured.latency_std': 0.0, 'payload.estimate': False,
+    'measured.latency': [0.0, 0.0], 'payload.estimate': False,
     'cup.stiffness_std': (1e-9 * np.eye(6)).ravel().tolist(),
     'cup.damping_std': (1e-9 * np.eye(6)).ravel().tolist(),
     'package.mass_std': 1e-9, 'package.com_std': [1e-12] * 3,

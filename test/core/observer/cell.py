@@ -31,10 +31,10 @@ EXACTLY_KNOWN = 1e-9
 """A standard deviation that is stated: 0 would stand for a default."""
 CALIBRATED = [0.7e-3, 1.4e-3]
 ORDINARY = {'measured__camera_std': CALIBRATED, 'measured__marker_std': CALIBRATED,
-            'measured__latency_std': 5e-3, 'payload__estimate': True}
+            'measured__latency': [0.0, 5e-3], 'payload__estimate': True}
 """As a node has it."""
 EXACT = {'measured__camera_std': [0.0, 0.0], 'measured__marker_std': [0.0, 0.0],
-         'measured__latency_std': 0.0}
+         'measured__latency': [0.0, 0.0]}
 
 
 def stated(package, stiffness=0.0, damping=0.0, mass=0.0, com=0.0, inertia=0.0):

@@ -20,7 +20,7 @@ HOSTILE = [
     {'cup.stiffness_std': (100.0 * CUP.stiffness).ravel().tolist()},
     {'cup.damping_std': (100.0 * CUP.damping).ravel().tolist()},
     {'measured.camera_std': [1.0, 1.0], 'measured.marker_std': [1.0, 1.0]},
-    {'measured.latency_std': 0.5},
+    {'measured.latency': [0.0, 0.5]},
 ]
 ALL = {name: value for each in HOSTILE for name, value in each.items()}
 

@@ -97,7 +97,7 @@ def simulated(
         'cup.stiffness_std': (OFF['stiffness'] * np.diag(np.diag(CUP.stiffness))).ravel().tolist(),
         'tool_noise': (2e-5, 5e-5),
         'measured.camera_std': [0.0, 0.0], 'measured.marker_std': [0.0, 0.0],
-        'measured.latency_std': 0.0}, package.mass)
+        'measured.latency': [0.0, 0.0]}, package.mass)
 
 
 def poses(states: list[Any]) -> tuple[Any, Any]:

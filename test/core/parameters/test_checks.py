@@ -118,7 +118,6 @@ def test_values_are_brought_to_their_normal_form(name, value, normal):
     ('package.com', [0.0, 0.0, float('nan')], 'index 2'), ('cup.length', 53.5, r'53.5 .* m\b'),
     ('gravity.magnitude', -9.81, r'\b0 '), ('gravity.direction', [0.0, 0.0, 0.0], ''),
     ('release.mass_range', [2.0, 1.0], '2 to 1 kg'),
-    ('release.mass_range', [5e-324, 1.0], '1e-06'),
     ('recording.align_at_rest', 1, 'true or false'),
     ('recording.world', 'y_up', 'z_up, motive_y_up'), ('topics.tool_pose', '', ''),
     ('topics.tool_pose', 'a\nb', ''), ('bags', ['a', ''], 'index 1')])
