@@ -194,7 +194,7 @@ def info(arguments: Any, console: 'Console') -> Outcome:
     if arguments.write_params:
         write_text(arguments.write_params, cell_file(result))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
-    return Outcome(partial(print_info, result), result, (
+    return Outcome(partial(print_info, result, file=arguments.write_params), result, (
         'Fill in the package there, then:',
         f'  bellows identify --params {arguments.write_params} --out cup.yaml{cell}',
     ) if arguments.write_params else ())

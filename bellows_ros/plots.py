@@ -185,14 +185,18 @@ def replay_figure(result: Any) -> Any:
 
 def plan_figure(report: Any) -> Any:
     """Draw package and grip along a plan, with bands of two standard deviations."""
-    curves, least = report.curves, report.least
-    t, values, std = curves.seconds, curves.values, curves.std
-    seen = values[:, :3] - curves.tool
+    (t, tool, values, std), least = report.curves, report.least
+    seen = values[:, :3] - tool
     unknown = ': set cup.lip_radius, vacuum.holding' * (report.prediction.grip is None)
     note = f'{report.source.path}; dotted: end of the plan; bands: two standard deviations'
+    begin, end = report.drawn
+    if end < report.source.duration:
+        note = f'{note}; the worst {end - begin:.0f} of {report.source.duration:.0f} s'
+    t, values, std, seen, tool = (rows[(t >= begin) & (t <= end)] for rows in (
+        t, values, std, seen, tool))
     with picture('Package and grip along the plan', note) as figure:
         panels = figure.subplots(3, 2, sharex=True).ravel()
-        panels[0].plot(t, curves.tool, color=QUIET)
+        panels[0].plot(t, tool, color=QUIET)
         panels[1].axhline(least, color=TEXT, linewidth=0.8, linestyle='--')
         panels[1].axhspan(0.0, 1.0, color=PREDICTED, alpha=0.12, linewidth=0.0)
         shown_curves = (
@@ -212,6 +216,7 @@ def plan_figure(report: Any) -> Any:
             panel.set_title(title)
             panel.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=4)
             panel.axvline(report.source.duration, color=QUIET, linewidth=0.8, linestyle=':')
+            panel.set_xlim(t[0], t[-1])
         panels[1].set_ylim(0.0, MAX_FACTOR * least)
         for panel in panels[-2:]:
             panel.set_xlabel('time (s)')

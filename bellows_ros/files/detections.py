@@ -162,7 +162,8 @@ def read_views(path: File, topic: str, tag: TagSought = NO_TAG) -> CornerViews:
     camera, calibration = _calibration(path, frame, tag.rectified)
     corners = directions(np.array(views).reshape(-1, 4, 2), *camera)
     found = CornerViews(absolute(topic), frame, name, np.array(stamps, np.int64), corners,
-                        calibration, {reason: tuple(at) for reason, at in of_frame.items()})
+                        calibration, {reason: tuple(at) for reason, at in of_frame.items()},
+                        camera.matrix[0])
     return _usable(found, np.array(arrivals), np.array(places), path)
 
 

@@ -8,6 +8,7 @@ import math
 import textwrap
 from typing import Any, TYPE_CHECKING
 
+from bellows_ros.core.findings import Level
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
 from bellows_ros.core.recording.alignment import MIN_REST
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -37,8 +38,8 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
 """Quantities that a recording does not contain: comments of the file, to fill in."""
 
 
-def print_info(result: Info, out: Any) -> None:
-    """Print the topics, their roles and notes."""
+def print_info(result: Info, out: Any, file: str = '') -> None:
+    """Print the topics, their roles, the settings in the file of --write-params, and notes."""
     out.table(_topic_rows(result), title=f'Recording {result.path}')
     for topic in result.topics:
         for line in _facts(topic):
@@ -65,8 +66,9 @@ def print_info(result: Info, out: Any) -> None:
     settled, open_ones = ([each for each in result.findings if found.keys().isdisjoint(
         sets(each)) == is_open] for is_open in (False, True))
     for title, lines in (
-            ('Set in the file of --write-params:', [
-                *(f'{name}: {value}' for name, value in found.items()), *map(text_of, settled)]),
+            (f'Set in {file}:' if file else 'Settings for --write-params:', [
+                *(f'{name}: {value}' for name, value in found.items()),
+                *(text_of(each._replace(level=Level.OK)) for each in settled)]),
             ('To do:', [*map(text_of, open_ones)])):
         out.line()
         out.line(title * bool(lines))
@@ -110,13 +112,11 @@ def _facts(topic: TopicInfo) -> Iterator[str]:
 
 def cell_file(result: Info) -> str:
     """Return the text of a parameter file of a recording, with comments on what to fill in."""
-    settings = dict(result.settings)
-    if result.is_tag and 'fit.free' in settings:
-        settings['fit.free'] = (*settings['fit.free'], 'scale')  # a tag of another size
     unknown = UNKNOWN + ('measured.tag_size',) * result.is_tag
     return template_with(
-        [PARAMETERS[name] for name in unknown if name not in settings], settings,
-        [f'How to read {result.path}, as found by bellows info; check it.'])
+        [PARAMETERS[name] for name in unknown if name not in result.settings], result.settings, [
+            f'How to read {result.path}, as found by bellows info; check it.',
+            *(text_of(each) for each in result.findings if each.code.startswith('free_'))])
 
 
 def template(parameters: Iterable[Parameter]) -> str:
@@ -194,6 +194,10 @@ def print_plan(report: PlanReport, out: Any) -> None:
     out.line(f'Plan {source.path}', 'bold')
     out.line(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
     out.table(_figure_rows(report))
+    if report.moves[1:]:
+        out.table([('move', 'from', 'to', 'least safety factor'), *(
+            (f'{number}', f'{begin:.2f} s', f'{end:.2f} s', f'{factor:.2f}')
+            for number, (begin, end, factor) in enumerate(report.moves, 1))], right=True)
     if report.used:
         out.table([('limit', 'used'), *(
             (name, f'{100.0 * part:.0f} %') for name, part in report.used.items())], right=True)

@@ -11,6 +11,7 @@ from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import shown
 from bellows_ros.workflows.recordings import offset_finding
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -19,6 +20,7 @@ from .findings import text as text_of
 from .sentences import listed, many
 
 if TYPE_CHECKING:
+    from bellows_ros.core.identification.validation import CornerScores
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.replay import Observed, Replay
 
@@ -159,9 +161,11 @@ def print_identification(result: 'Identification', out: Any) -> None:
         if not all(map(math.isfinite, simulated.rms)):
             out.paragraph(text_of(Finding('not_simulated', Level.WARN, {'bag': simulated.bag})))
             continue
+        factors, units = (DISPLAY_FACTORS, DISPLAY_UNITS) if len(simulated.axes) > 1 else (
+            np.array([1e3]), ('mrad',))
         out.table([
-            ('', *(f'{axis} {unit}' for axis, unit in zip(AXES, DISPLAY_UNITS, strict=True))),
-            *((name, *(f'{x:.3g}' for x in DISPLAY_FACTORS * values))
+            ('', *(f'{axis} {unit}' for axis, unit in zip(simulated.axes, units, strict=True))),
+            *((name, *(f'{x:.3g}' for x in factors * values))
               for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
             right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
     if fit.converged:
@@ -273,8 +277,9 @@ def print_replay(result: 'Replay', out: Any) -> None:
 
 def _print_observed(observed: 'Observed', out: Any) -> None:
     """Print the gain by measured poses, and alarms; with a tag by its corners."""
-    rows = [('corners mrad', *(formatted(each and each.rms, factor=1e3)
-                               for each in observed.corners.values())),
+    unit, factor = corner_unit(*observed.corners.values())
+    rows = [(f'corners {unit}', *(formatted(each and each.rms, factor=factor)
+                                  for each in observed.corners.values())),
             ('corners chi2', *(formatted(each and each.chi2)
                                for each in observed.corners.values()))]
     if not observed.corners:
@@ -289,13 +294,20 @@ def _print_observed(observed: 'Observed', out: Any) -> None:
         out.warn(f'Alarm at {line}')
 
 
+def corner_unit(*scores: 'CornerScores | None') -> tuple[str, float]:
+    """Return unit and factor of errors of corners (rad): pixels if the focal length is known."""
+    focal = max((each.focal for each in scores if each), default=0.0)
+    return ('px', focal) if focal else ('mrad', 1e3)
+
+
 def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     """Return a row for each axis: errors, and the part due to noise."""
     validation, live = result.validation, result.live
     rows: list[tuple[str, ...]] = [('axis', 'RMS', 'live', 'noise', 'peak', 'NRMSE')]
     if corners := validation.corners:
         live_rms = live.corners.rms if live and live.corners else None
-        return [*rows, ('corners mrad', *(formatted(error, factor=1e3) for error in (
+        unit, factor = corner_unit(corners)
+        return [*rows, (f'corners {unit}', *(formatted(error, factor=factor) for error in (
             corners.rms, live_rms, corners.noise, corners.largest)), percent(corners.nrmse, 1))]
     scores = validation.scores
     errors = [

@@ -139,14 +139,11 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     """Yield contradictions of parameters, and their remedies."""
     free = sorted(set(values.fit.free) - {'time_offset', 'package_world'})
     names = f'fit.free: {", ".join(free)}: '
-    yield (free and values.fit.method == 'least_squares',
-           f'{names}they need fit.method: output_error. Set it.')
-    yield (values.fit.relaxation == 'on' and values.fit.method == 'least_squares',
-           'fit.relaxation: on needs fit.method: output_error: least squares does not estimate '
-           'relaxation. Set it.')
-    yield (values.fit.stretch == 'on' and values.fit.method == 'least_squares',
-           'fit.stretch: on needs fit.method: output_error: least squares does not estimate '
-           'cup.stretch. Set it.')
+    for name, is_asked in ((names[:-2], free),
+                           ('fit.relaxation: on', values.fit.relaxation == 'on'),
+                           ('fit.stretch: on', values.fit.stretch == 'on')):
+        yield (is_asked and values.fit.method == 'least_squares',
+               f'{name} needs fit.method: output_error. Set it.')
     yield ({*free} - {'length', 'package_marker', 'clock_rate', 'scale'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')

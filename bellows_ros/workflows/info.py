@@ -365,9 +365,10 @@ def _both_bodies(
     if separate:
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
-            'fit.free': ('time_offset', 'package_marker'),
             'recording.package_frame': 'com'}
-        found += _of_tag(package)
+        found += (of_tag := _of_tag(package))
+        settings['fit.free'] = ('time_offset', 'package_marker', *['scale'] * bool(of_tag))
+        more += [Finding(f'free_{name}', Level.OK) for name in settings['fit.free']]
     elif pair:
         settings['recording.world'] = pair.world
     if pair:

@@ -62,6 +62,16 @@ START_DEVIATIONS = 3.0
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
+STILL = (0.01, 0.04)
+"""Largest speeds of a tool between two moves, m/s and rad/s: ten times the noise of recorded
+twists."""
+
+MIN_STOP = 0.3
+"""Shortest standstill between two moves, s: a reversal of the motion is shorter."""
+
+DRAWN_SECONDS = 5.0
+"""Part of a motion of several moves in a picture, s: a package swings 10 to 20 times in it."""
+
 NO_FACTOR = text(Finding('no_factor'))
 
 
@@ -157,26 +167,17 @@ class OfPlan(CommandResult):
         raise NotImplementedError
 
 
-class Curves(NamedTuple):
-    """
-    Deflection, loads and safety of a plan over time.
+class Move(NamedTuple):
+    """A move of the tool between two standstills, s, and the least factor until the next move."""
 
-    Parameters
-    ----------
-    seconds : array (N,)
-        Times since the first point, s.
-    tool : array (N, 3)
-        Position of E, m.
-    values, std : array (N, 12)
-        Position of B (3, m), bending (rad), safety factors against peel and slip, and wrench of
-        the cup at the lip (6, N and N m); and their standard deviations.
+    begin: float
+    end: float
+    smallest_safety_factor: float
 
-    """
-
-    seconds: Array
-    tool: Array
-    values: Array
-    std: Array
+    def as_json(self) -> dict[str, Any]:
+        """Return the content for a JSON file."""
+        return {**self._asdict(), 'units': {
+            'begin': 's', 'end': 's', 'smallest_safety_factor': '1'}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +248,39 @@ class PlanReport(OfPlan):
         return tool, PlanSimulation(source.model, None, tool, tail=0.0).states(), limit
 
     @cached_property
-    def curves(self) -> Curves:
-        """Curves of the picture, including the time after a plan that ends at rest."""
+    def moves(self) -> tuple[Move, ...]:
+        """Moves between standstills of the tool, with their least safety factors."""
+        tool, prediction = self.source.tool, self.prediction
+        speeds = np.linalg.norm(np.asarray(tool.twist).reshape(-1, 2, 3), axis=2)
+        moving, t = np.flatnonzero((speeds > STILL).any(axis=1)), tool.seconds
+        if prediction.grip is None or not len(moving):
+            return ()
+        stops = np.flatnonzero(np.diff(t[moving]) > MIN_STOP)
+        begins, ends = moving[np.append(0, stops + 1)], moving[np.append(stops, -1)]
+        factors = 1.0 / np.maximum.reduceat(prediction.loads.max(axis=1), begins)
+        least, _, at = prediction.smallest_safety  # also between points, and after the end
+        worst = max(int(np.searchsorted(t[begins], at, 'right')) - 1, 0)
+        factors[worst] = min(factors[worst], least)
+        return tuple(map(Move, t[begins].tolist(), t[ends].tolist(), factors.tolist()))
+
+    @property
+    def drawn(self) -> tuple[float, float]:
+        """Begin and end of the picture, s: of many moves the part with the worst one."""
+        duration, half = self.source.duration, 0.5 * DRAWN_SECONDS
+        if len(self.moves) < 2 or duration <= 2.0 * DRAWN_SECONDS:
+            return 0.0, duration + TAIL_SHOWN
+        middle = min(max(self.prediction.smallest_safety[2], half), duration - half)
+        return middle - half, middle + half
+
+    @cached_property
+    def curves(self) -> tuple[Array, Array, Array, Array]:
+        """
+        Curves of the picture, including the time after a plan that ends at rest.
+
+        Times since the first point (N,), s; positions of E (N, 3), m; position of B (3, m),
+        bending (rad), safety factors against peel and slip, and wrench of the cup at the lip (6,
+        N and N m), (N, 12); and their standard deviations.
+        """
         prediction, source = self.prediction, self.source
         after = min(TAIL_SHOWN, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
         tool = extended(source.tool, after)
@@ -260,8 +292,8 @@ class PlanReport(OfPlan):
             factors = 1.0 / np.maximum(predicted.loads, 1.0 / MAX_DRAWN_FACTOR)
             return np.hstack([predicted.states[:, :3], angle[:, None], factors, predicted.wrench])
 
-        return Curves(tool.seconds, tool.position, compute(source.model), _deviations(
-            source.values, source.model, compute))
+        return tool.seconds, tool.position, compute(source.model), _deviations(
+            source.values, source.model, compute)
 
     @property
     def bodies(self) -> tuple[Trajectory, Trajectory]:
@@ -293,7 +325,7 @@ class PlanReport(OfPlan):
             'outside_validity': list(self.outside),
             **({'fastest_scale': fastest and fastest.scale,
                 'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
-            'used_parts': self.used,
+            'used_parts': self.used, 'moves': self.moves,
             'points': len(self.source.tool), 'least_safety_factor': self.least}
 
 

@@ -185,7 +185,9 @@ def prepare_streams(
     topics.
     """
     recording = _prepared(streams, settings, values, accepted)
-    return _with_sentences(recording, recording.report.remarks)
+    return _with_sentences(recording, (
+        each for each in recording.report.remarks if each.code != 'low_rate'
+        or values.fit.method == 'least_squares'))
 
 
 def checked(recording: Recording, length: float) -> Recording:

@@ -48,8 +48,7 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
 from bellows_ros.files import detections, File, results
-from bellows_ros.report import findings
-from bellows_ros.report.findings import text
+from bellows_ros.report.findings import text, warnings
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.holds import signals_of, spans_held
 from bellows_ros.workflows.recordings import checked, load, no_progress, Progress, tag_sought
@@ -87,6 +86,13 @@ class Live(residuals.Comparison):
             'corners': self.corners}
 
 
+COUNTED: Mapping[str, str] = {
+    'gate': 'outside the gate', 'not_held': 'while nothing was predicted',
+    'future_stamp': "later than the tool's", 'recovered': 'from which it restarted',
+    'out_of_reach': 'where the cup cannot hold it'}
+"""Words for the counts of measured poses."""
+
+
 class Observed(NamedTuple):
     """
     The recorded package and three estimates over a common time.
@@ -122,23 +128,17 @@ class Observed(NamedTuple):
     @property
     def sentence(self) -> str:
         """Counts of the measured poses, and the estimated payload."""
-        words = {'gate': 'outside the gate', 'not_held': 'while nothing was predicted',
-                 'future_stamp': "later than the tool's", 'recovered': 'from which it restarted',
-                 'out_of_reach': 'where the cup cannot hold it'}
-        counted = ', '.join(
-            f'{count} {words.get(what, what.replace("_", " "))}'
-            for what, count in self.counts.items())
-        sentences = [f'Measured poses: {counted}.']
+        counted = ', '.join(f'{count} {COUNTED.get(what, what.replace("_", " "))}'
+                            for what, count in self.counts.items())
+        found = [Finding('measured_poses', Level.OK, {'counted': counted})]
         if 2 * self.counts.get('used', 0) < sum(self.counts.values()):
-            sentences.append(
-                'Most of them are not used. Check that one clock stamps tool and camera, and that '
-                f'measured.frame, measured.offset and recording.package_world fit {self.topic}.')
+            found.append(Finding('mostly_unused', topic=self.topic))
         if payload := self.payload:
-            sentences.append(
-                f'Estimated: mass {payload.mass:.4g} ± {payload.mass_std:.2g} kg, centre of mass '
-                f'{_with_std(payload.com, payload.com_std, 1e3)} mm from the lip (± is the '
-                'Cramér-Rao bound).')
-        return ' '.join(sentences + ([] if self.alarms else ['No alarm.']))
+            found.append(Finding('payload', Level.OK, {
+                'mass': payload.mass, 'std': payload.mass_std, 'com': ', '.join(
+                    f'{1e3 * x:.2f} ± {1e3 * std:.2g}' for x, std in zip(
+                        payload.com, payload.com_std, strict=True))}))
+        return ' '.join(map(text, [*found, *[Finding('no_alarm')] * (not self.alarms)]))
 
     @property
     def alarm_lines(self) -> list[str]:
@@ -146,12 +146,10 @@ class Observed(NamedTuple):
         times: dict[str, list[float]] = {}
         for seconds, alarm in self.alarms:
             times.setdefault(alarm.kind, []).append(seconds)
-        messages = {alarm.kind: findings.text(alarm.finding)
-                    for _, alarm in reversed(self.alarms)}
-        return [
-            f'{first:.2f} s, {kind}: {messages[kind]}' + (
-                f' Found {1 + len(later)} times until {later[-1]:.2f} s.' if later else '')
-            for kind, (first, *later) in times.items()]
+        first = {alarm.kind: text(alarm.finding) for _, alarm in reversed(self.alarms)}
+        return [f'{at[0]:.2f} s, {kind}: {first[kind]}' + (
+            f' Found {len(at)} times until {at[-1]:.2f} s.' if at[1:] else '')
+            for kind, at in times.items()]
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file: RMS errors in m and rad."""
@@ -160,7 +158,7 @@ class Observed(NamedTuple):
             'alarms': [
                 {'time': seconds, **results.attributes(
                     alarm, 'kind', 'shift', 'rotation', 'parameter', 'value', 'std'),
-                 'message': findings.text(alarm.finding),
+                 'message': text(alarm.finding),
                  'units': {'shift': 'm', 'rotation': 'rad'}}
                 for seconds, alarm in self.alarms],
             'payload': self.payload and results.attributes(
@@ -168,12 +166,6 @@ class Observed(NamedTuple):
             'corners': self.corners,
             **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()},
             'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
-
-
-def _with_std(values: Any, std: Any, factor: float) -> str:
-    """Return numbers with their standard deviations, multiplied by a factor."""
-    return ', '.join(f'{factor * value:.2f} ± {factor * error:.2g}' for value, error in zip(
-        np.atleast_1d(values), np.atleast_1d(std), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +217,7 @@ class Replay(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences on the findings and on the recording."""
-        return (*findings.warnings(self.findings), *self.recording.report.warnings)
+        return (*warnings(self.findings), *self.recording.report.warnings)
 
     @property
     def time_offset(self) -> TimeOffset | None:
@@ -467,7 +459,8 @@ def _measured_stream(
     else:
         require_one_frame(recording.tool_pose, stream)
     R_model_tool = world_rotation(values.recording.world, values.gravity.direction)
-    return stream, _transformed_pose(pose, R_model_tool)
+    return stream, np.append(R_model_tool @ pose[:3], lie.rotation_to_quaternion(
+        R_model_tool @ lie.quaternion_to_rotation(pose[3:])))
 
 
 def _messages_of(stream: PoseStream) -> list[tuple[int, Any, Any, Any]]:
@@ -546,12 +539,6 @@ def _sensor_findings(stream: PoseStream, is_tag: bool) -> tuple[Finding, ...]:
     return tuple(remark._replace(topic=stream.name) for remark in sensor_remarks(
         body.select(outliers.good), timing(stream.stamps_ns).rate_hz,
         outliers.excursions / len(stream), is_tag, stream.corners is not None))
-
-
-def _transformed_pose(pose: Array, R: Array, shift: Array | float = 0.0) -> Array:
-    """Return a pose, position and quaternion (7,), shifted and then rotated by R."""
-    return np.append(R @ (pose[:3] + shift),
-                     lie.rotation_to_quaternion(R @ lie.quaternion_to_rotation(pose[3:])))
 
 
 def _held_part(

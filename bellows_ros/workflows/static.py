@@ -1,8 +1,7 @@
 """Recordings of standstills: the cup's length."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 import math
-import os
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -128,7 +127,7 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
         If a recording is unusable, or static.length requests an undetermined length.
 
     """
-    result = _read(static_bags(values), values, lambda what, part: progress(what, 0.0))
+    result = _read(values, progress)
     if not values.static.length:
         return result
     if result.length is None:
@@ -138,17 +137,12 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
     return result._replace(cup_length=result.length.length)
 
 
-def static_bags(values: Values) -> list[tuple[str, Values]]:
-    """Return the recordings of the parameter `static.bags`, each with its parameters."""
-    each = reading.values_of_each(values, 'static.bags')
-    return list(zip(map(os.fspath, values.static.bags), each, strict=True))
-
-
-def _read(each: Sequence[tuple[str, Values]], values: Values, progress: Progress) -> StaticResult:
-    """Return the result of recordings, each with its parameters; twists are irrelevant at rest."""
-    recordings = list[Recording]()
-    for number, (bag, parameters) in enumerate(each):
-        progress(f'reading {bag}', number / len(each))
+def _read(values: Values, progress: Progress) -> StaticResult:
+    """Return the result of the recordings; twists are irrelevant at rest."""
+    recordings, each = list[Recording](), list(zip(
+        values.static.bags, reading.values_of_each(values, 'static.bags'), strict=True))
+    for bag, parameters in each:
+        progress(f'reading {bag}', 0.0)
         if parameters.recording.package_world == ESTIMATE:
             raise BellowsError(
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "

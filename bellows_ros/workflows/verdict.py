@@ -13,7 +13,7 @@ from bellows_ros.core.identification.estimate import MAX_NOISE_CHI2
 from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
 from bellows_ros.core.identification.result import Cause, DISTINCT, Fit, POSE_UNITS
-from bellows_ros.core.identification.validation import MAX_NRMSE, validate
+from bellows_ros.core.identification.validation import corner_scores, MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
@@ -61,7 +61,11 @@ CLOCK_RATE = 'rate of the clocks (ppm)'
 
 
 class Simulated(NamedTuple):
-    """A recording simulated freely with the cup: RMS errors, noise and motion (6,), m and rad."""
+    """
+    A recording simulated freely with the cup: RMS errors, noise and motion by axis, m and rad.
+
+    A tag is rated by its corners alone, rad, as in a replay.
+    """
 
     bag: str
     rms: Array
@@ -70,9 +74,10 @@ class Simulated(NamedTuple):
     beginning: float = 0.0
     """Duration of the simulated beginning of a long recording, s; 0 for a whole recording."""
     held_out: Array | None = None
-    """RMS errors (6,) in the last fifth with the cup of the other four, m and rad, if known."""
+    """RMS errors in the last fifth with the cup of the other four, if known."""
     vibration: SpectralLine | None = None
     """SpectralLine of the errors without which they are noise, if there is one."""
+    axes: tuple[str, ...] = AXES
 
     @property
     def is_at_noise(self) -> bool:
@@ -84,7 +89,7 @@ class Simulated(NamedTuple):
         """Axes with an error beyond three times the noise and 5 % of the motion, held out."""
         error = self.rms if self.held_out is None else self.held_out
         within = error <= np.maximum(MAX_NOISE_RATIO * self.noise, MAX_NRMSE * self.motion)
-        return [AXES[i] for i in np.flatnonzero(~within)]
+        return [self.axes[i] for i in np.flatnonzero(~within)]
 
     @property
     def vibration_finding(self) -> Finding:
@@ -101,9 +106,9 @@ class Simulated(NamedTuple):
         vibration = self.vibration and {
             **self.vibration._asdict(),
             'units': {'frequency': 'Hz', **dict.fromkeys(('rms', 'remainder'), POSE_UNITS)}}
-        return {
-            **self._asdict(), 'vibration': vibration, 'axes': AXES, 'units': {
-                **dict.fromkeys(('noise', 'held_out'), POSE_UNITS), 'beginning': 's'}}
+        units = POSE_UNITS if len(self.axes) > 1 else ('rad',)
+        return {**self._asdict(), 'vibration': vibration, 'units': {
+            **dict.fromkeys(('rms', 'noise', 'motion', 'held_out'), units), 'beginning': 's'}}
 
 
 class FitVerdict(NamedTuple):
@@ -153,11 +158,6 @@ class FitVerdict(NamedTuple):
         """Whether chi² or a free simulation exceeds the errors of recordings without faults."""
         return self.excess > MAX_NOISE_CHI2 - 1.0 or any(
             (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Findings on the likeliest cause, if any, on the given values, and on the cup."""
-        return (*self.cause, *self.doubts, *self.refusals)
 
     @property
     def vibrations(self) -> tuple[Finding, ...]:
@@ -355,21 +355,25 @@ def _simulated(
 ) -> Simulated:
     """Return a free simulation of a recording; a failed simulation explains no motion."""
     if recording.views and noise_in_motion is not None:
-        recording, noise_in_motion = recording.with_noise(noise_in_motion), None
+        recording = recording.with_noise(noise_in_motion)
     try:
         result = validate(cup, recording, MAX_SIMULATED)
     except UnstableError:
         unknown = np.full(6, np.nan)
         return Simulated(recording.name, unknown, unknown, unknown)
     seconds = float(np.ptp(result.stamps_ns)) / NS_PER_S
+    beginning = seconds if len(recording.valid) > MAX_SIMULATED else 0.0
+    held_out = _held_out(held, recording) if held else None
+    if corners := result.corners:
+        rms, noise, motion = map(np.atleast_1d, (corners.rms, corners.noise, corners.motion))
+        return Simulated(recording.name, rms, noise, motion, beginning, held_out,
+                         axes=('corners',))
     noise = result.noise
     if noise_in_motion is not None:
         noise = np.sqrt(noise**2 + np.maximum(
             noise_in_motion**2 - recording.body_noise[1].std**2, 0.0))
-    return Simulated(
-        recording.name, result.scores.rms, noise, result.scores.motion,
-        seconds if len(recording.valid) > MAX_SIMULATED else 0.0,
-        _held_out(held, recording) if held else None, _vibration(result, noise))
+    return Simulated(recording.name, result.scores.rms, noise, result.scores.motion, beginning,
+                     held_out, _vibration(result, noise))
 
 
 def _vibration(result: Comparison, noise: Array) -> SpectralLine | None:
@@ -379,10 +383,15 @@ def _vibration(result: Comparison, noise: Array) -> SpectralLine | None:
 
 
 def _held_out(cup: Cup, recording: Recording) -> Array:
-    """Return the RMS errors (6,) of a free simulation in the last fifth, m and rad."""
+    """Return the RMS errors of a free simulation in the last fifth, of a tag in its corners."""
     try:
         result = validate(cup, recording, MAX_SIMULATED)
     except UnstableError:
-        return np.full(6, np.inf)
+        return np.full(1 if recording.views else 6, np.inf)
     first, last = result.stamps_ns[[0, -1]]
-    return result.select(result.stamps_ns > last - (last - first) // HELD_OUT).scores.rms
+    later = last - (last - first) // HELD_OUT
+    if recording.views:
+        seen = corner_scores(
+            recording, result.package.select(result.package.stamps_ns > later))
+        return np.atleast_1d(seen.rms if seen else 0.0)
+    return result.select(result.stamps_ns > later).scores.rms

@@ -214,11 +214,10 @@ def test_fastest_and_curves(bag, tmp_path):
     report = plan(bag, VALUES, seek_fastest=True)
     found = report.as_json()
     assert 0.1 < found['fastest_scale'] < 5.0 and found['fastest_scale_std'] > 0.0
-    shape = (len(report.curves.seconds), 12)
-    assert report.curves.values.shape == report.curves.std.shape == shape
-    assert report.curves.seconds[-1] > 0.6
+    seconds, _, values, std = report.curves
+    assert values.shape == std.shape == (len(seconds), 12) and seconds[-1] > 0.6
     assert_allclose(1 / report.prediction.loads[:, 0].max(),
-                    report.curves.values[:len(report.prediction.loads), 4].min())
+                    values[:len(report.prediction.loads), 4].min())
     with pytest.raises(BellowsError, match=r'cup\.lip_radius.*vacuum\.holding'):
         plan(bag, VALUES.replaced({'cup.lip_radius': 0.0}), seek_fastest=True)
     half = message(**{name: getattr(message(), name)[:80]

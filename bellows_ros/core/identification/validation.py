@@ -86,6 +86,8 @@ class CornerScores(NamedTuple):
         Largest RMS error of one view.
     samples : int
         Number of views.
+    focal : float
+        Focal length of the camera, pixels; 0 if unknown.
 
     """
 
@@ -94,6 +96,7 @@ class CornerScores(NamedTuple):
     motion: float
     largest: float
     samples: int
+    focal: float = 0.0
 
     @property
     def chi2(self) -> float:
@@ -108,7 +111,8 @@ class CornerScores(NamedTuple):
     def as_json(self) -> dict[str, object]:
         """Return the content for a JSON file."""
         return {**self._asdict(), 'chi2': self.chi2, 'nrmse': self.nrmse,
-                'units': dict.fromkeys(('rms', 'noise', 'motion', 'largest'), 'rad')}
+                'units': {'focal': 'pixel', **dict.fromkeys(
+                    ('rms', 'noise', 'motion', 'largest'), 'rad')}}
 
 
 def corner_scores(recording: Recording, package: Trajectory) -> CornerScores | None:
@@ -134,7 +138,8 @@ def corner_scores(recording: Recording, package: Trajectory) -> CornerScores | N
                    for each in (errors, views.errors(fixed)[0]))
     return CornerScores(
         rms, float(np.mean(1.0 / variances)**-0.5), motion,
-        float(np.sqrt(np.mean(errors**2, axis=1).max())), len(errors))
+        float(np.sqrt(np.mean(errors**2, axis=1).max())), len(errors),
+        recording.package_pose.focal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,6 +259,7 @@ class Validation(residuals.Comparison):
         if corners := self.corners:
             return Finding('corners', Level.OK, {
                 'rms': corners.rms, 'motion': corners.motion, 'ratio': corners.nrmse,
+                'pixels': f'{corners.rms * corners.focal:.2g} pixels, ' * (corners.focal > 0.0),
                 'chi2': corners.chi2, 'relation': 'above' if failing else 'within',
                 'limit': limit, 'position': float(self.scores.rms[:3].max()),
                 'rotation': float(self.scores.rms[3:].max())})

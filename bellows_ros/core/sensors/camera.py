@@ -75,6 +75,8 @@ class CornerViews:
         Topic of the camera's calibration.
     refused : mapping of str to tuple of int
         Indices of omitted messages by reason.
+    focal : float
+        Focal length of the camera, pixels.
 
     """
 
@@ -85,13 +87,14 @@ class CornerViews:
     corners: Array
     calibration: str = ''
     refused: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    focal: float = 0.0
 
     def poses(self, side: float) -> PoseStream:
         """Return the poses in the camera, with corners, of a tag with a side (m)."""
         position, rotation = poses_of_corners(self.corners, side)
         return PoseStream(self.name, self.frame_id, self.stamps_ns, position, rotation,
                           self.refused, corners=self.corners.reshape(-1, 8),
-                          calibration=self.calibration)
+                          calibration=self.calibration, focal=self.focal)
 
 
 class TagCamera:

@@ -61,6 +61,8 @@ class PoseStream(_Stamped):
         Corners of a detected tag in the image of an undistorted camera of unit focal length.
     calibration : str
         Topic of the camera's calibration, if corners are recorded.
+    focal : float
+        Focal length of this camera, pixels; 0 if unknown.
     clock_steps : tuple of (int, float)
         Steps of the clock that stamps, by arrivals: stamp before each (ns), and size (s).
 
@@ -82,6 +84,7 @@ class PoseStream(_Stamped):
     clock_steps: tuple[tuple[int, float], ...] = ()
     corners: Array | None = None
     calibration: str = ''
+    focal: float = 0.0
 
     def __post_init__(self) -> None:
         _freeze_arrays(
