@@ -44,8 +44,7 @@ LATE = {
     'bellows_ros/workflows/identification.py': ('bellows_ros.workflows.replay',),
     'bellows_ros/workflows/identify.py': (
         'bellows_ros.workflows.replay', 'bellows_ros.workflows.workers'),
-    'bellows_ros/workflows/recordings.py': (
-        'bellows_ros.workflows.holds', 'bellows_ros.workflows.registration'),
+    'bellows_ros/workflows/recordings.py': ('bellows_ros.workflows.holds',),
     'bellows_ros/workflows/toss.py': ('bellows_ros.workflows.identify',)}
 """
 What functions import, beside what is optional, and outside `cli`.

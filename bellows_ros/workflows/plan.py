@@ -15,7 +15,7 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.predictor import points_down
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, model_tuple
-from bellows_ros.core.model.grip import Grip, safety_finding
+from bellows_ros.core.model.grip import factors_along, Grip, Margin, margin, safety_finding
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import checks, conversion
@@ -422,6 +422,16 @@ def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
     z_tool, z_lip = R_world_tool[:, :, 2], R_world_lip[:, :, 2]
     sine = np.linalg.norm(np.cross(z_tool, z_lip), axis=1)
     return np.asarray(np.arctan2(sine, np.sum(z_tool * z_lip, axis=1)))
+
+
+def smallest_margin(
+    values: Values, model: ModelTuple, tool: Trajectory, package: Trajectory, seconds: Array
+) -> Margin | None:
+    """Return the smallest safety factor of a motion at its times (N,), s; None if unknown."""
+    if (grip := conversion.grip_of(values)) is None:
+        return None
+    rows = map(simulation.tool_rows, (tool, package))
+    return margin(grip, factors_along(model, grip, *rows), seconds)
 
 
 def extended(tool: Trajectory, seconds: float) -> Trajectory:

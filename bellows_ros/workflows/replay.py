@@ -23,14 +23,14 @@ from bellows_ros.core.identification.validation import (
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.cycle import Signal
 from bellows_ros.core.live.recorded import Messages, predicted_trajectory
-from bellows_ros.core.model import simulation, validity_range
-from bellows_ros.core.model.grip import factors_along, Margin, margin
+from bellows_ros.core.model import validity_range
+from bellows_ros.core.model.grip import Margin
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.parameters import checks, conversion
-from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
+from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
@@ -51,6 +51,7 @@ from bellows_ros.files import detections, File, results
 from bellows_ros.report.findings import text, warnings
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.holds import signals_of, spans_held
+from bellows_ros.workflows.plan import smallest_margin
 from bellows_ros.workflows.recordings import checked, load, no_progress, Progress, tag_sought
 import numpy as np
 
@@ -225,18 +226,11 @@ class Replay(CommandResult):
         return self.recording.report.time_offset
 
     @cached_property
-    def _factors(self) -> Array | None:
-        """Safety factors of the free simulation, by `factors_along`; None if unknown."""
-        grip, validation = grip_of(self.values), self.validation
-        rows = map(simulation.tool_rows, (validation.tool, validation.package))
-        return None if grip is None else factors_along(validation.model, grip, *rows)
-
-    @property
     def margin(self) -> Margin | None:
         """Smallest safety factor of the grip in the free simulation; None if unknown."""
-        grip, factors = grip_of(self.values), self._factors
-        return None if grip is None or factors is None else margin(
-            grip, factors, self.recording.since_start(self.validation.tool.stamps_ns))
+        free = self.validation
+        return smallest_margin(self.values, free.model, free.tool, free.package,
+                               self.recording.since_start(free.tool.stamps_ns))
 
     @property
     def sentence(self) -> str:

@@ -13,11 +13,12 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, transform
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import largest_step
-from bellows_ros.core.model.grip import factors_along, Margin, margin
-from bellows_ros.core.model.simulation import simulate, tool_rows
+from bellows_ros.core.model.grip import Margin
+from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.parameters.conversion import cup_of, grip_of, package_of
+from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
@@ -28,7 +29,7 @@ from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bag_writer, File, messages
 from bellows_ros.report.findings import warnings
-from bellows_ros.workflows.plan import bending, read_plan
+from bellows_ros.workflows.plan import bending, read_plan, smallest_margin
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
@@ -134,7 +135,8 @@ def simulate_recording(
             generator(recipe.seed, f'{name} plan'))
         for name, sensor in (('tool', recipe.tool), ('package', recipe.package))}
     progress(f'simulating {recipe.motion.duration:g} s')
-    truth = _simulate(values, recipe, plans)
+    model = model_tuple(cup_of(values), package_of(values), values.gravity.magnitude)
+    truth = _simulate(values, model, recipe, plans)
     recorded = _record(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
     progress(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
     bag_writer.write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
@@ -146,7 +148,7 @@ def simulate_recording(
         bag, truth_file, recipe.motion.duration,
         {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
         angle, worst, warnings(filter(None, [flip_finding(angle)])),
-        _smallest_margin(values, truth))
+        smallest_margin(values, model, *truth, truth.tool.seconds))
 
 
 def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Event, ...]:
@@ -171,20 +173,11 @@ class Truth(NamedTuple):
         return Truth(self.tool.select(index), self.package.select(index))
 
 
-def _smallest_margin(values: Values, truth: Truth) -> Margin | None:
-    """Return the smallest safety factor; None if unknown."""
-    grip = grip_of(values)
-    if grip is None:
-        return None
-    model = model_tuple(cup_of(values), package_of(values), values.gravity.magnitude)
-    tool, package = (tool_rows(each) for each in truth)
-    return margin(grip, factors_along(model, grip, tool, package), truth.tool.seconds)
-
-
-def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> Truth:
+def _simulate(
+    values: Values, model: ModelTuple, recipe: Recipe, plans: Mapping[str, sensing.Schedule]
+) -> Truth:
     """Simulate at all sampling times of both streams, with a rate sufficient for the truth."""
-    motion, cup, package = recipe.motion, cup_of(values), package_of(values)
-    model = model_tuple(cup, package, values.gravity.magnitude)
+    motion = recipe.motion
     rate = max(MIN_RATE, 100.0 * motion.highest_frequency,
                2.5 / largest_step(model))
     count = motion.duration * (rate + recipe.tool.rate_hz + recipe.package.rate_hz)
@@ -202,7 +195,8 @@ def _simulate(values: Values, recipe: Recipe, plans: Mapping[str, sensing.Schedu
             f'The tool reaches {speed:.3g} m/s and {rate:.3g} rad/s; expected at most '
             f'{screening.MAX_TOOL_SPEED:g} and {screening.MAX_TOOL_RATE:g}, as no arm is faster. '
             'Check the units of the motion: m, rad and s.')
-    return Truth(tool, simulate(cup, package, tool, gravity=values.gravity.magnitude))
+    return Truth(tool, simulate(
+        cup_of(values), package_of(values), tool, gravity=values.gravity.magnitude))
 
 
 def _record(

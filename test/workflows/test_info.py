@@ -102,16 +102,6 @@ def test_twists_in_degrees_are_said_first_and_left_out(m, tmp_path, unit):
         assert 'tool_twist.frame' not in found.settings
 
 
-def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(m, tmp_path):
-    """Say that the axes are not known then."""
-    still = {name: np.repeat(x[:1], 400, axis=0) for name, x in m.items()}
-    t = np.arange(400) / RATE_HZ
-    found = described(
-        tmp_path, poses('/tcp', t, still['o'], still['R']),
-        poses('/box', t, still['o_p'], still['R_p']), twists('/speed', t, 0.0 * still['v']))
-    assert found.twist and found.twist.topic == '/speed' and 'too little' in found.twist.why[0]
-
-
 def test_y_up_and_turned_markers_are_noticed(m, tmp_path):
     """Propose Motive's world and the alignment, with a rest that the recording has."""
     turn, up = exp_so3(np.array([0.0, 0.1, 0.8])), R_WORLD_MOTIVE.T

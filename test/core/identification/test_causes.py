@@ -20,10 +20,9 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, waypoints
 from bellows_ros.errors import BellowsError
 from bellows_ros.report.findings import prevents, text
-from bellows_ros.workflows.causes import cause_finding
 from bellows_ros.workflows.recordings import checked, remark_sentences
 from bellows_ros.workflows.replay import validated
-from bellows_ros.workflows.verdict import verdict_of
+from bellows_ros.workflows.verdict import cause_finding, verdict_of
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
