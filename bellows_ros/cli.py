@@ -529,7 +529,7 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
         'leave out poses of Motive with fewer visible markers than this (default: 3)')),
     click.option('--storage', type=click.Choice(['mcap', 'sqlite3']), default='mcap', help=(
         'storage of the recording')),
-    FORCE, FROM, TO, JSON)
+    FORCE, JSON)
 def convert(arguments: Any, console: 'Console') -> Outcome:
     """
     Make a recording from files of Motive or TUM.
@@ -548,7 +548,7 @@ def convert(arguments: Any, console: 'Console') -> Outcome:
     console.progress('converting')
     done = workflow.convert(
         arguments.sources, arguments.out, arguments.topic, arguments.markers, arguments.storage,
-        arguments.force, read_settings(arguments))
+        arguments.force)
     return Outcome(partial(print_conversion, done), done, (
         'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
 

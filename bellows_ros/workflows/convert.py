@@ -1,6 +1,6 @@
 """Conversion of the poses of bodies in text files to a recording."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 import os
 from pathlib import Path
 import re
@@ -11,7 +11,6 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import bag_writer, bags, File, trajectory_files
 from bellows_ros.files.messages import POSE
 from bellows_ros.files.trajectory_files import TrackedBody
-from bellows_ros.workflows.recordings import FULL_RANGE, interval_masks
 import numpy as np
 
 MAX_REPEATED = 0.1
@@ -44,7 +43,6 @@ class Conversion(NamedTuple):
 def convert(
     sources: Sequence[File], out: File, names: Sequence[str] = (),
     min_markers: int = trajectory_files.MIN_MARKERS, storage: str = 'mcap', replace: bool = False,
-    span: Mapping[str, Any] = FULL_RANGE,
 ) -> Conversion:
     """
     Write the bodies in trajectory files as a recording.
@@ -63,8 +61,6 @@ def convert(
         Storage of the recording.
     replace : bool
         Whether an existing recording may be replaced.
-    span : mapping
-        Parameters 'recording.start' and 'recording.end', s, for a part.
 
     Raises
     ------
@@ -88,18 +84,17 @@ def convert(
     notes += [f"'{source}' has no date: the stamps of '{body.name}' start near zero."
               for body, source, _ in found if 0 < len(body.stamps_ns)
               and body.stamps_ns[0] < 86400 * 10**9]
-    masks = interval_masks([body.stamps_ns for body, *_ in found], span)
-    if not any(mask.any() for mask in masks):
+    if not any(len(body.stamps_ns) for body, *_ in found):
         raise BellowsError('No pose can be used: ' + '; '.join(
             f"'{source}' ({body.name}): {body.left_out}" for body, source, _ in found)
             + '. Lower --markers, or track the bodies again.')
     bag_writer.write_bag(out, [
-        bag_writer.as_messages(topic, POSE, body.stamps_ns[mask], body.values[mask],
+        bag_writer.as_messages(topic, POSE, body.stamps_ns, body.values,
                                'motive' if world == 'motive_y_up' else 'world')
-        for topic, (body, _, world), mask in zip(topics, found, masks, strict=True)],
+        for topic, (body, _, world) in zip(topics, found, strict=True)],
         storage, replace=replace)
-    bodies = tuple(Body(topic, f'{source} ({body.name})', int(mask.sum()), body.left_out)
-                   for topic, (body, source, _), mask in zip(topics, found, masks, strict=True))
+    bodies = tuple(Body(topic, f'{source} ({body.name})', len(body.stamps_ns), body.left_out)
+                   for topic, (body, source, _) in zip(topics, found, strict=True))
     return Conversion(os.fspath(out), bodies, min(worlds), tuple(notes))
 
 

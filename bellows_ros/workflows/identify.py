@@ -212,7 +212,7 @@ def read_part(
         recording = replace(
             reading.prepare_streams(poses[bag], settings, values), name=bag, digest=bag)
     else:
-        recording = reading.load(path, values, name=bag, with_digest=True, held=True)
+        recording = reading.load(path, values, name=bag, held=True)
     recording = reading.checked(recording, values.cup.length)
     part, pair = reduced(recording, values.cup.length), methods.pair_of(recording, values, number)
     return pair, recording if bag in keep else part

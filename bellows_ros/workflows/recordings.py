@@ -57,8 +57,7 @@ class Failed(NamedTuple):
 
 
 def load(
-    path: File, values: Values, name: str = '', with_digest: bool = False, held: bool = False,
-    accepted: str = '',
+    path: File, values: Values, name: str = '', held: bool = False, accepted: str = '',
 ) -> Recording:
     """
     Read a recording and prepare it.
@@ -71,8 +70,6 @@ def load(
         Parameters by name, as `core.parameters.checks.resolve` returns them.
     name : str
         Name of the recording by the user; default: the path.
-    with_digest : bool
-        Whether the digests of its files are computed.
     held : bool
         Whether it is for a fit: only the holds are used, if vacuum.signal is set.
     accepted : str
@@ -101,10 +98,8 @@ def load(
 
         streams = _selected(streams, masks_held(path, streams, values))
     recording = prepare_streams(streams, settings, values, accepted)
-    files = tuple(results.digests(path)) if with_digest else ()
-    return replace(
-        recording, name=name, files=files,
-        digest=results.recording_digest(files) if with_digest else '')
+    files = tuple(results.digests(path))
+    return replace(recording, name=name, files=files, digest=results.recording_digest(files))
 
 
 def tag_sought(values: Values) -> detections.TagSought:

@@ -310,11 +310,11 @@ def replay(
     rated = checked(rated, values.cup.length)
     progress('simulating', 0.3)
     free = validated(values, rated)
-    sent = tool_messages(recording, values) if observe else None
-    live = predicted_live(
+    sent = _tool_messages(recording, values)
+    live = _predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
-    camera = observed(
-        bag, recording, sent, live, values, observe, signals) if sent else None
+    camera = _observed(
+        bag, recording, sent, live, values, observe, signals) if observe else None
     progress('done', 1.0)
     return replace(free, live=live, observed=camera,
                    findings=(*note, *_with_camera(free, camera)))
@@ -369,23 +369,16 @@ def _stretch_findings(values: Values, recording: Recording) -> list[Finding]:
         'off': abs(stretch - stated * compliance)})]
 
 
-def predicted_live(
-    recording: Recording, values: Values, progress: Progress = no_progress,
-    messages: Messages | None = None, signals: Sequence[Signal] = (),
+def _predicted_live(
+    recording: Recording, values: Values, progress: Progress, messages: Messages,
+    signals: Sequence[Signal],
 ) -> Live:
     """
     Predict a recording live from its tool messages, and compare it with the package's poses.
 
-    Messages are `tool_messages`, if given. Outliers of the tool's poses are omitted, and counted.
-    With signals the package is predicted while it is held.
-
-    Raises
-    ------
-    BellowsError
-        If there are too few predictions for a comparison.
-
+    Outliers of the tool's poses are omitted, and counted. With signals the package is predicted
+    while it is held.
     """
-    messages = messages or tool_messages(recording, values)
     warm_up(cup_of(values), package_of(values), values.gravity.magnitude,
             values.tool_twist.frame)
     live = live_predictor(values, signals)
@@ -393,7 +386,6 @@ def predicted_live(
     predicted = predicted_trajectory(live, messages, progress, signals=signals)
     took = time.perf_counter() - start
     recorded = float(np.ptp(messages.stamps_ns)) / NS_PER_S
-    del messages  # tens of megabytes for a long recording
     compared = _compared(predicted, *compared_poses(recording))
     return Live(
         **vars(compared), counts=_counts(live, recording),
@@ -401,7 +393,7 @@ def predicted_live(
         corners=corner_scores(recording, predicted))
 
 
-def tool_messages(recording: Recording, values: Values) -> Messages:
+def _tool_messages(recording: Recording, values: Values) -> Messages:
     """Return the tool's poses and twists in the order of their stamps, in frames of the model."""
     R_model_tool = world_rotation(values.recording.world, values.gravity.direction)
     poses = recording.alignment.tool(in_world(recording.tool_pose.trajectory(), R_model_tool))
@@ -465,40 +457,14 @@ def _messages_of(stream: PoseStream) -> list[tuple[int, Any, Any, Any]]:
                     strict=True))
 
 
-def observed(
+def _observed(
     bag: File, recording: Recording, messages: Messages, uncorrected: Live,
-    values: Values, topic: str, signals: Sequence[Signal] = (),
+    values: Values, topic: str, signals: Sequence[Signal],
 ) -> Observed:
-    """
-    Predict a recording live with measured poses of the package, and compare both.
-
-    Parameters
-    ----------
-    bag : path
-        Path of the recording.
-    recording : Recording
-        Prepared recording.
-    messages : Messages
-        Messages of the tool.
-    uncorrected : Live
-        Live prediction from these messages without a camera.
-    values : mapping
-        Parameters by name, including measured.*.
-    topic : str
-        Topic with poses of the package in the world of the recording.
-    signals : sequence of Signal
-        Vacuum and valve; without signals the package is held from start to end.
-
-    Raises
-    ------
-    BellowsError
-        If the recording lacks the topic, or too little of it is predicted.
-
-    """
+    """Predict a recording live with measured poses of the package, and compare both."""
     stream, pose = _measured_stream(bag, recording, values, topic)
     values = values.replaced({'recording.package_world': checks.pose_text(pose)})
     measured = _messages_of(stream)
-
     live = live_predictor(values, signals)
     observer = live.package.observer
     corrected = predicted_trajectory(live, messages, measured=measured, signals=signals)

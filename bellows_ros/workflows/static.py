@@ -149,7 +149,7 @@ def _read(values: Values, progress: Progress) -> StaticResult:
                 'its seven numbers: they are in the cup file of an identification with a motion.')
         at_rest = parameters.replaced({'topics.tool_twist': '', 'fit.free': ()})
         recordings.append(reading.load(
-            bag, at_rest, with_digest=True, accepted='tool_at_rest'))
+            bag, at_rest, accepted='tool_at_rest'))
         for _, words in reading.duplicates((each.name, each.digest) for each in recordings):
             raise BellowsError(words)
     result = StaticResult(tuple(recordings), None, '', values.cup.length)

@@ -1,8 +1,6 @@
 """What holds for all commands: help, wrong lines, values, completion, streams, signals."""
 
 from contextlib import suppress
-import errno
-import io
 import os
 import re
 import signal
@@ -239,26 +237,3 @@ def test_after_a_signal_every_end_is_that_interruption(error, capsys, handlers):
 
     assert guarded(work) == 143
     assert 'defect' not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize('number', [errno.ENOSPC, errno.EPIPE])
-def test_an_unwritable_stdout_has_one_code(number, monkeypatch, tmp_path):
-    """Neither the code of a negative result nor that of a defect."""
-    class Unwritable(io.RawIOBase):
-
-        def writable(self):
-            return True
-
-        def fileno(self):
-            return file.fileno()
-
-        def write(self, data):
-            raise OSError(number, os.strerror(number))
-
-    with (tmp_path / 'out').open('wb', 0) as file:
-        stream = io.TextIOWrapper(io.BufferedWriter(raw := Unwritable()))
-        monkeypatch.setattr(sys, 'stdout', stream)
-        found = guarded(lambda: print('a result') or 0)
-        monkeypatch.undo()
-        raw.write = len  # what is left in its buffer
-        assert found == (2 if number == errno.ENOSPC else 141)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.bags import topics
 from bellows_ros.workflows.convert import convert
 import numpy as np
 import pytest
@@ -67,21 +67,6 @@ def test_unusual_properties_of_a_take_are_reported(tmp_path):
         f"'{file}' has no date: the stamps of 'Tool' start near zero.")
     with pytest.raises(BellowsError, match=r"take\.csv.*'not tracked': 2"):
         convert([layout(file, never, V24)], tmp_path / 'other')
-
-
-def test_a_part_is_cut_equally_from_all_streams(tmp_path):
-    """Count from the first stamp of all, and leave out what is earlier and later."""
-    later = STAMPS + 6_000_000
-    files = [write_tum(tmp_path / f'{name}.tum', stamps)
-             for name, stamps in (('tool', STAMPS), ('plate', later))]
-    span = {'recording.start': 0.01, 'recording.end': 0.03}
-    done = convert(files, tmp_path / 'bag', ['tool_arm/pose', '/plate'], span=span)
-    assert [body.poses for body in done.bodies] == [11, 11]
-    streams = read_streams(tmp_path / 'bag', {
-        'tool_pose': '/tool_arm/pose', 'package_pose': '/plate'})
-    np.testing.assert_array_equal(streams['tool_pose'].stamps_ns, STAMPS[5:16])
-    np.testing.assert_array_equal(streams['package_pose'].stamps_ns, later[2:13])
-    np.testing.assert_array_equal(streams['tool_pose'].position, VALUES[5:16, :3])
 
 
 def test_topics_must_differ_and_be_as_many_as_bodies(tmp_path):

@@ -12,7 +12,6 @@ from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.report.build import write_page
-from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import masks_held
 from bellows_ros.workflows.identification import save, UNKNOWN_STD
 from bellows_ros.workflows.identify import identify
@@ -83,11 +82,6 @@ def test_clean_recording_of_the_rig(rig):
     assert_allclose(damping[2], 1.0, atol=0.12)
     assert result.fit.samples_rejected == 0
     assert result.warnings == ()
-
-
-def test_package_files_must_be_one_for_each_recording():
-    with pytest.raises(BellowsError, match=r'\b1\b.*\b2\b'):
-        identify({'bags': ['a', 'b'], 'package.files': ['a']})
 
 
 def test_each_recording_may_have_its_own_topics(root, true_cup, tmp_path):
@@ -179,22 +173,6 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_
     assert cell['package.com_std'] == (10.0,) * 3 and cell['measured.marker_std'] == (1.0,) * 2
     write_page(result, tmp_path / 'page.html')
     assert 'not identifiable' in (tmp_path / 'page.html').read_text()
-
-
-@pytest.mark.parametrize('method', ['least_squares', 'output_error'])
-def test_a_recording_at_rest_is_refused(shipped, root, method):
-    """Noise would make K rz 36 +- 2 N m/rad there, where 1.3 is true."""
-    with pytest.raises(BellowsError, match='rests throughout'):
-        identify({**shipped[0].values, 'bags': [str(root / 'bags/static')], 'recording.end': 1.9,
-                  'fit.method': method})
-
-
-def test_a_wrong_world_is_named_before_a_fit(shipped):
-    result = identify({**shipped[0].values, 'recording.world': 'motive_y_up',
-                       'recording.end': 8.0, 'recording.align_at_rest': False,
-                       'fit.method': 'output_error'})
-    assert not result.fit.converged and result.verdict.causing[0].name == 'recording.world'
-    assert 'recording.world: z_up' in text(result.verdict.cause[0]) and result.refusals
 
 
 def test_a_rejected_cup_is_written_only_by_force_with_a_note(shipped, tmp_path):

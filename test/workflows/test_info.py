@@ -5,6 +5,7 @@ from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
 from bellows_ros.files.messages import BOOL, HEAD
+from bellows_ros.report.printed import cell_file
 from bellows_ros.workflows.info import info, longest_hold
 import numpy as np
 import pytest
@@ -163,6 +164,7 @@ def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside
         assert free == {
             'recording.package_world': 'estimate', 'fit.method': 'output_error',
             'fit.free': ('time_offset', 'package_marker')}
+        assert '\n# fit.free: package_marker: the pose of the marker' in cell_file(found)
 
 
 @pytest.mark.parametrize(('signal', 'topic', 'kind'), [

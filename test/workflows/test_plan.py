@@ -227,6 +227,28 @@ def test_fastest_and_curves(bag, tmp_path):
     assert found['swing_left'] is None and 'ends in motion' in ' '.join(found['warnings'])
 
 
+def test_each_move_has_its_least_safety_factor(tmp_path):
+    """Of ten moves there and back with a pause, the fourth is twice as fast, and is drawn."""
+    t = np.arange(0.0, 30.0, 0.004)
+    x = np.zeros(len(t))
+    for k in range(10):
+        s = np.clip((t - 3.0 * k) / (0.5 if k == 3 else 1.0), 0.0, 1.0)
+        x += 0.3 * (-1) ** k * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    poses = np.zeros((len(t), 7))
+    poses[:, 0], poses[:, 6] = x, 1.0
+    twists = np.pad(np.gradient(x, t)[:, None], ((0, 0), (0, 5)))
+    times = np.round(1e9 * t).astype(np.int64)
+    data = encode_multi_dof(message(times_ns=times, poses=poses, twists=twists))
+    found = plan(bag_of(tmp_path / 'bag', MULTI_DOF, data), VALUES)
+    assert_allclose([each.begin for each in found.moves], 3.0 * np.arange(10), atol=0.2)
+    factors = [each.smallest_safety_factor for each in found.moves]
+    assert factors[3] == found.prediction.smallest_safety[0] < 0.8 * min(
+        factors[:3] + factors[4:])
+    begin, end = found.drawn
+    assert begin < 9.0 < 9.5 < end and end - begin == pytest.approx(5.0)
+    assert plan(tmp_path / 'bag', VALUES.replaced({'cup.lip_radius': 0.0})).moves == ()
+
+
 def test_lost_grip_and_unknown_grip_are_reported(bag):
     weak = figures(bag, values={'vacuum.holding': 2e4})
     assert 'The cup lets go' in weak['warnings'][0]

@@ -1,9 +1,8 @@
-"""Simulated recordings: true to an independent integrator, and what their motion file says."""
+"""Simulated recordings: rates, noise, faults, and what their motion file says."""
 
 import copy
 import json
 
-from bellows_ros.core.geometry.lie import log_so3, transform
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.synthetic.motion import MOTION_KINDS
@@ -16,8 +15,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
-
-from ..core import oracle
 
 START_NS = 1_700_000_000_000_000_000
 K = np.diag([5400.0, 6000.0, 9200.0, 4.2, 3.6, 1.35])
@@ -83,34 +80,6 @@ def recorded(tmp_path, content, name='bag'):
 def content_of(path):
     """Return the bytes of all files in a folder."""
     return {p.relative_to(path): p.read_bytes() for p in sorted(path.rglob('*')) if p.is_file()}
-
-
-def test_the_truth_agrees_with_an_independent_integrator(tmp_path):
-    short = motion(duration=1.2)
-    recorded(tmp_path, short)
-    with np.load(tmp_path / 'bag_truth.npz') as truth:
-        t, T, twist, tool = truth['t'], truth['package'], truth['package_twist'], truth['tool']
-        assert_array_equal(truth['K'], K)
-        assert_array_equal(truth['P'], P)
-    moving = read_recipe(short, COM).motion
-    some = np.append(np.arange(0, len(t) - 1, 8), len(t) - 1)
-
-    def tool_at(s):
-        o_E, velocity, R_E, rate = (part[0] for part in moving.state(np.array([s])))
-        return o_E, R_E, np.concatenate([R_E.T @ velocity, rate])
-
-    gravity = np.array([0.0, 0.0, -GRAVITY])
-    o, R, _ = oracle.solve(CUP, PACKAGE, gravity, tool_at, T[0], twist[0], t[some])
-    assert np.ptp(T[:, :3, 3], axis=0).min() > 0.01  # it does move
-    assert_allclose(T[some, :3, 3], o, atol=1e-9)
-    assert_allclose(log_so3(np.swapaxes(R, -1, -2) @ T[some, :3, :3]), 0.0, atol=5e-9)
-    # The tool is where the motion puts it, and the package begins at rest.
-    position, _, rotation, _ = moving.state(t)
-    assert_allclose(tool[:, :3, 3], position, atol=1e-15)
-    assert_allclose(tool[:, :3, :3], rotation, atol=1e-15)
-    o_E, R_E, v_E = tool_at(t[0])
-    assert_allclose(oracle.acceleration(
-        CUP, PACKAGE, gravity, transform(R_E, o_E), v_E, T[0], 0.0 * twist[0]), 0.0, atol=1e-9)
 
 
 def test_streams_have_their_own_rates_and_are_the_truth_without_noise(tmp_path):

@@ -8,6 +8,7 @@ from bellows_ros.core.geometry.lie import exp_so3, log_so3, rotation_to_quaterni
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.messages import DETECTIONS
+from bellows_ros.report.findings import text
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 import numpy as np
@@ -93,6 +94,8 @@ def test_a_lens_and_a_smaller_tag_than_stated_leave_k_and_name_the_inputs(motion
     assert scale == pytest.approx(0.9, abs=5e-4)
     assert latency == pytest.approx(1e-9 * LATE_NS, abs=1e-4)
     assert found.cell_parameters()['measured.type'] == 'detections'
+    (free,) = found.verdict.simulated
+    assert free.axes == ('corners',) and free.is_at_noise and free.motion > 20.0 * free.rms
     assert found.remappings == {
         'tool_arm/pose': '/tool', 'package/measured': '/detections',
         'package/camera_info': '/info'}
@@ -126,3 +129,5 @@ def test_a_replay_is_rated_by_the_corners(factor, failing, root):
     assert (corners.chi2 < 1.5 and corners.nrmse < 0.02) == (not failing)
     alone, both = found.observed.corners.values()
     assert not failing or both.rms < 0.8 * alone.rms
+    said = text(scores.verdict())
+    assert f'{920 * corners.rms:.2g} pixels' in said and 'larger motion' not in said

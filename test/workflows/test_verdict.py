@@ -4,14 +4,11 @@ from dataclasses import replace
 
 from bellows_ros.core import findings
 from bellows_ros.core.findings import Level
-from bellows_ros.core.geometry.jit import COMPILED
-from bellows_ros.core.identification.methods import fit
 from bellows_ros.core.identification.result import Cause, Fit
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.conversion import tag_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.faults import recording_remarks
-from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.report.findings import text
 from bellows_ros.workflows import verdict
 from bellows_ros.workflows.verdict import FitVerdict, Simulated
@@ -126,24 +123,6 @@ def test_what_a_fit_found_comes_after_nothing_but_facts():
         replace(made_for(laboratory), causes=wrong), [faulty], laboratory.length,
         parameters(laboratory))
     assert found.cause[0].code == 'low_pass' and found.refusals and not found.causing
-
-
-@pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes long interpreted')
-def test_a_gap_of_the_tool_refuses_no_cup():
-    """Fit and simulate each segment from a first state of its own."""
-    laboratory = Laboratory(4, seconds=8.0, rate_hz=240.0)
-    recording, values = laboratory.recording(), parameters(laboratory)
-    tool = recording.tool_pose
-    kept = np.abs(np.arange(len(tool)) - len(tool) // 2) > 40
-    gapped = prepare(replace(tool, stamps_ns=tool.stamps_ns[kept], position=tool.position[kept],
-                             rotation=tool.rotation[kept]),
-                     recording.package_pose, recording.settings)
-    assert len(gapped.segments) == 2
-    found = fit([gapped], values)
-    off = np.abs(np.diag(found.stiffness) - laboratory.K) / np.diag(found.stiffness_std)
-    assert np.all(off < 4.0)
-    said = verdict.verdict_of(found, [gapped], laboratory.length, values)
-    assert not said.refusals and np.all(said.simulated[0].rms < 1.5 * said.simulated[0].noise)
 
 
 def test_an_estimate_beyond_three_deviations_is_a_finding_of_its_own():
