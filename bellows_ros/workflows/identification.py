@@ -236,8 +236,9 @@ class Identification(CommandResult):
             'inertia': package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
         of_package = {freed.name: np.array(freed.std) for freed in self.fit.freed} | {
             name: rows[0] for name, rows in self.fit.nuisances_std.items()}
-        for name in FREE_PARAMETERS.keys() & of_package.keys():
-            parameter, unit = FREE_PARAMETERS[name]
+        for name, (parameter, unit) in FREE_PARAMETERS.items():
+            if name not in of_package:
+                continue
             value, error = np.array(estimates[name]), of_package[name]
             if name in ('mass', 'inertia'):
                 error = error * np.atleast_1d(value)[:len(error)]
