@@ -25,9 +25,9 @@ def result(root):
 
 
 @pytest.fixture(scope='module')
-def html(result):
+def html(result, root):
     """Return its page."""
-    return identification_page(result)
+    return identification_page(result, [root / 'bags/package.yaml'])
 
 
 def words(text):
@@ -36,10 +36,10 @@ def words(text):
         '&gt;', '>').replace('&lt;', '<').replace('&quot;', '"').replace('&amp;', '&')
 
 
-def test_the_page_loads_nothing_and_is_the_same_again(html, result):
+def test_the_page_loads_nothing_and_is_the_same_again(html, result, root):
     assert html.count('<svg ') == 1 and html.rstrip().endswith('</html>')
     assert not re.search(r'<(script|link|img|iframe|object)|@import|url\((?!#)', html)
-    assert identification_page(result) == html
+    assert identification_page(result, [root / 'bags/package.yaml']) == html
 
 
 def test_the_page_has_what_the_command_prints(html, result, root):
