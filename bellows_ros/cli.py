@@ -466,7 +466,6 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
     """
     from bellows_ros.report.printed import print_plan, print_steered
     from bellows_ros.workflows import plan as workflow
-    from bellows_ros.workflows.steer import steer_plan
 
     if arguments.steer and arguments.fastest:
         raise BellowsError('--fastest is of the plan, not of --steer. Give one of both.')
@@ -474,7 +473,8 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
     console.progress('planning')
     more = {'urdf': str(arguments.urdf or ''), 'topic': arguments.topic,
             'limits': arguments.limits or ''}
-    result: Any = steer_plan(arguments.plan, values, arguments.steer, **more) if (
+    result: Any = workflow.steer_plan(
+        arguments.plan, values, arguments.steer, **more) if (
         arguments.steer) else workflow.plan(
             arguments.plan, values, seek_fastest=arguments.fastest, **more)
     if arguments.out:

@@ -31,9 +31,8 @@ from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
-    from bellows_ros.workflows.plan import MotionSource, PlanReport
+    from bellows_ros.workflows.plan import MotionSource, PlanReport, SteerReport
     from bellows_ros.workflows.replay import Replay
-    from bellows_ros.workflows.steer import SteerReport
     from bellows_ros.workflows.toss import TossResult
 
 __all__ = [
@@ -424,7 +423,7 @@ def steer(
     True
 
     """
-    from bellows_ros.workflows import steer as workflow
+    from bellows_ros.workflows import plan as workflow
 
     return workflow.steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
 

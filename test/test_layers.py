@@ -43,7 +43,7 @@ LATE = {
     'bellows_ros/exits.py': ('bellows_ros.report.console',),
     'bellows_ros/workflows/identification.py': ('bellows_ros.workflows.replay',),
     'bellows_ros/workflows/identify.py': (
-        'bellows_ros.workflows.replay', 'bellows_ros.workflows.workers'),
+        'bellows_ros.workflows.replay',),
     'bellows_ros/workflows/recordings.py': ('bellows_ros.workflows.holds',),
     'bellows_ros/workflows/toss.py': ('bellows_ros.workflows.identify',)}
 """

@@ -24,9 +24,8 @@ from .text import column, display_unit, formatted, with_error
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
-    from bellows_ros.workflows.plan import PlanReport
+    from bellows_ros.workflows.plan import PlanReport, SteerReport
     from bellows_ros.workflows.simulate import SimulationReport
-    from bellows_ros.workflows.steer import SteerReport
     from bellows_ros.workflows.toss import ReleaseResult, TossResult
 
 MILLI = 1e3

@@ -350,8 +350,7 @@ class Identification(CommandResult):
         causes = self.verdict.causing[:1] if self.verdict else ()
         if self.verdict and self.verdict.faults or any(cause.material for cause in causes):
             return ()
-        is_explained = any(cause.certain for cause in causes) or self.verdict and (
-            self.verdict.vibrations)
+        is_explained = any(cause.certain for cause in causes)
         misfit = (text_of(self.fit.misfit),) if self.fit.misfit and not is_explained else ()
         if self.fit.usable and self.verdict and self.verdict.refusals:
             return misfit

@@ -5,16 +5,20 @@ Every recording is reduced to the statistics of a fit, in this process, in other
 with equal results. Steps that need whole recordings read them in this process.
 """
 
-from collections.abc import Container, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+import importlib
+import logging
 from operator import itemgetter
 import os
+import time
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core import configure_process, usable_cores
 from bellows_ros.core.identification import methods
-from bellows_ros.core.identification.pool import Held, here
+from bellows_ros.core.identification.pool import Held, here, Pool
 from bellows_ros.core.identification.quantities import as_found, payload_of
 from bellows_ros.core.identification.samples import (
     AnyRecording,
@@ -26,7 +30,7 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
-from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.errors import BellowsError, install, require_pictures
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
@@ -36,7 +40,6 @@ import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
     from bellows_ros.workflows.replay import Replay
-    from bellows_ros.workflows.workers import Cluster
 
 Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""
@@ -107,8 +110,6 @@ def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['
     """Return the workers of this machine or of a cluster, None for this process."""
     if jobs is None and not dask:
         return nullcontext()
-    from bellows_ros.workflows.workers import cluster, processes
-
     if dask:
         return cluster(dask)
     return processes(min(usable_cores() if jobs == -1 else jobs or 1, count))
@@ -345,3 +346,97 @@ def _validated(
 
         yield replay(
             bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})
+
+
+# ------------------------------------ workers of a Dask cluster: of this machine, or at an address
+
+
+ANSWER_TIMEOUT = 10.0
+"""Longest wait for an answer of the Dask scheduler, s."""
+
+SETTINGS = {'distributed.scheduler.work-stealing': False,
+            'distributed.scheduler.allowed-failures': 1,
+            'distributed.scheduler.worker-saturation': 1.0}
+"""
+Settings of a cluster of this machine.
+
+Recordings stay where they were read, and what waits is not blamed for the loss of a worker.
+"""
+
+ENDED = 'its process was ended from outside, twice; if memory was short, take fewer jobs'
+
+
+class Cluster(Pool):
+    """Recordings on the workers of a Dask cluster, which computes lost values again."""
+
+    clock = staticmethod(time.monotonic)
+
+    def __init__(self, distributed: Any, client: Any) -> None:
+        """Use a client of the module `distributed`."""
+        self._distributed, self._client = distributed, client
+
+    def run(self, function: Callable[..., Any], *columns: Sequence[Any]) -> list[Any]:
+        """Return the futures of a function's values."""
+        return list(self._client.map(function, *columns, pure=False))
+
+    def gather(self, values: Sequence[Any]) -> list[Any]:
+        """Return the values of futures, or raise the first error."""
+        for value in values:
+            if error := self.error(value):
+                raise error
+        return list(self._client.gather(list(values)))
+
+    def ended(self, values: Sequence[Any]) -> Iterator[int]:
+        """Yield the number of ended futures, as they end."""
+        with self._client.as_current():
+            for number, _ in enumerate(self._distributed.as_completed(values), 1):
+                yield number
+
+    def error(self, future: Any) -> BellowsError | None:
+        """Return the error of a future, None for a value."""
+        try:
+            error = future.exception()
+        except (CancelledError, OSError, TimeoutError):
+            return BellowsError('The Dask scheduler was lost during the work. See in its log why, '
+                                'start it again, and repeat the command.')
+        if error is None or isinstance(error, BellowsError):
+            return error
+        return BellowsError(
+            ENDED if isinstance(error, self._distributed.scheduler.KilledWorker) else
+            f'{type(error).__name__}: {error}')
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Cluster]:
+    """Yield the recordings of a number of processes of this machine."""
+    distributed = _distributed('--jobs')
+    with importlib.import_module('dask').config.set(SETTINGS), distributed.LocalCluster(
+            n_workers=count, threads_per_worker=1, memory_limit=0, host='127.0.0.1',
+            dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL,
+    ) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+        yield Cluster(distributed, client)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Cluster]:
+    """Yield the recordings of the workers of a Dask cluster."""
+    distributed = _distributed('--dask')
+    logging.getLogger('distributed.client').setLevel(logging.CRITICAL)  # errors are reported here
+    try:
+        client = distributed.Client(address, timeout=ANSWER_TIMEOUT, set_as_default=False)
+        client.wait_for_workers(1, timeout=ANSWER_TIMEOUT)
+    except (OSError, ValueError, TypeError, TimeoutError) as error:
+        raise BellowsError(
+            f"No Dask scheduler with workers answers at '{address}': {error}. Start it with "
+            "'dask scheduler', and 'dask worker' with the address that it prints.") from None
+    with client:
+        yield Cluster(distributed, client)
+
+
+def _distributed(option: str) -> Any:
+    """Return the module; raise BellowsError with its installation."""
+    try:
+        return importlib.import_module('distributed')
+    except ImportError:
+        raise BellowsError(
+            f"{option} needs 'distributed', which is not installed: {install('dask')}.") from None

@@ -440,8 +440,7 @@ def _registered(
     values: Values, rough_s: float,
 ) -> Recording:
     """Return prepared streams with clocks that differ by about rough_s, s."""
-    marked = _is_marked(settings, values)
-    pose, alignment = _first_guess(tool, package, settings, values, marked)
+    pose, alignment = _first_guess(tool, package, settings, values)
 
     def filtered(alignment: frames.Alignment | None) -> Recording:
         if pose is None:
@@ -457,7 +456,7 @@ def _registered(
         rough_s, recording = rough_s + late_s, filtered(alignment)
     tells_clock = is_late and (late_s is not None or len(
         frames.rotation_correlation(tool.trajectory(), package.trajectory())[0]) > 0)
-    found = _estimated(recording, values, tells_clock, marked)
+    found = _estimated(recording, values, tells_clock)
     changes, estimates = dict[str, Any](), {
         name: found.estimate(name) for name in found.problem.places} if found else {}
     world, world_std = estimates.get('package_world', (None, np.zeros(6)))
@@ -490,14 +489,13 @@ def _is_marked(settings: PrepareSettings, values: Values) -> bool:
         values.recording.package_world == checks.ESTIMATE)
 
 
-def _estimated(
-    recording: Recording, values: Values, tells_clock: bool, marked: bool
-) -> Solution | None:
+def _estimated(recording: Recording, values: Values, tells_clock: bool) -> Solution | None:
     """Return the fit of K and P with the free ones of clock, world, marker and scale, if any."""
     names = [name for name, free in (
         ('time_offset', tells_clock),
         ('package_world', values.recording.package_world == checks.ESTIMATE),
-        ('package_marker', marked), ('scale', 'scale' in values.fit.free)) if free]
+        ('package_marker', _is_marked(recording.settings, values)),
+        ('scale', 'scale' in values.fit.free)) if free]
     return output_error.registered(
         recording, conversion.given_structure(values), conversion.one_cup_of(values),
         weak_prior(names)) if names else None
@@ -533,10 +531,11 @@ def _require_world(method: str, std: Array) -> None:
 
 
 def _first_guess(
-    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Values, marked: bool,
+    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Values,
 ) -> tuple[Array | None, frames.Alignment | None]:
     """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
     world, com = values.recording.package_world, settings.payload.com
+    marked = _is_marked(settings, values)
     estimate = world == checks.ESTIMATE
     pose = None if estimate or not world else frames.pose_of(world)
     if not (marked or estimate):

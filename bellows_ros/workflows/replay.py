@@ -261,7 +261,6 @@ class Replay(CommandResult):
             'margin': self.margin,
             'time_offset': self.time_offset,
             'seed': DRAW_SEED,
-            'spectrum_peak_hz': validation.spectrum.peak,
             'live': self.live,
             'observed': self.observed,
             'warnings': self.warnings,

@@ -24,14 +24,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.signals.residuals import (
-    AXES,
-    Comparison,
-    DISPLAY_FACTORS,
-    DISPLAY_UNITS,
-    line,
-    SpectralLine,
-)
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
 from bellows_ros.report.findings import entry, sets, text
@@ -78,8 +71,6 @@ class Simulated(NamedTuple):
     """Duration of the simulated beginning of a long recording, s; 0 for a whole recording."""
     held_out: Array | None = None
     """RMS errors in the last fifth with the cup of the other four, if known."""
-    vibration: SpectralLine | None = None
-    """SpectralLine of the errors without which they are noise, if there is one."""
     axes: tuple[str, ...] = AXES
 
     @property
@@ -94,23 +85,10 @@ class Simulated(NamedTuple):
         within = error <= np.maximum(MAX_NOISE_RATIO * self.noise, MAX_NRMSE * self.motion)
         return [self.axes[i] for i in np.flatnonzero(~within)]
 
-    @property
-    def vibration_finding(self) -> Finding:
-        """Frequency and size of the vibration."""
-        assert self.vibration
-        sizes = ', '.join(
-            f'{AXES[i]} {DISPLAY_FACTORS[i] * size:.2g} {DISPLAY_UNITS[i]}'
-            for i, size in enumerate(self.vibration.rms) if size > 0.3 * self.noise[i])
-        return Finding('vibration', Level.WARN, {
-            'bag': self.bag, 'frequency': self.vibration.frequency, 'sizes': sizes})
-
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
-        vibration = self.vibration and {
-            **self.vibration._asdict(),
-            'units': {'frequency': 'Hz', **dict.fromkeys(('rms', 'remainder'), POSE_UNITS)}}
         units = POSE_UNITS if len(self.axes) > 1 else ('rad',)
-        return {**self._asdict(), 'vibration': vibration, 'units': {
+        return {**self._asdict(), 'units': {
             **dict.fromkeys(('rms', 'noise', 'motion', 'held_out'), units), 'beginning': 's'}}
 
 
@@ -163,13 +141,6 @@ class FitVerdict(NamedTuple):
             (each.rms > MAX_SOUND_RATIO * each.noise).any() for each in self.simulated)
 
     @property
-    def vibrations(self) -> tuple[Finding, ...]:
-        """Findings on vibrations, if they explain all errors beyond noise."""
-        beyond = [each for each in self.simulated if not each.is_at_noise]
-        return tuple(each.vibration_finding for each in beyond) if all(
-            each.vibration for each in beyond) else ()
-
-    @property
     def is_at_noise(self) -> bool:
         """Whether free simulations are as accurate as the poses."""
         return bool(self.simulated) and all(each.is_at_noise for each in self.simulated)
@@ -209,8 +180,6 @@ class FitVerdict(NamedTuple):
         """Findings on the main cause and further ones, if any."""
         if self.faults:
             return self.faults
-        if self.vibrations and not any(each.certain for each in self.causing):
-            return self.vibrations
         if not self.causing:
             return ()
         first, *_ = said = [cause_finding(each, self.given) for each in self.causing]
@@ -376,13 +345,7 @@ def _simulated(
         noise = np.sqrt(noise**2 + np.maximum(
             noise_in_motion**2 - recording.body_noise[1].std**2, 0.0))
     return Simulated(recording.name, result.scores.rms, noise, result.scores.motion, beginning,
-                     held_out, _vibration(result, noise))
-
-
-def _vibration(result: Comparison, noise: Array) -> SpectralLine | None:
-    """Return the line of the errors without which they are noise (6,), if there is one."""
-    found = None if (result.scores.rms <= MAX_NOISE * noise).all() else line(result)
-    return found if found and (found.remainder <= MAX_NOISE * noise).all() else None
+                     held_out)
 
 
 def _held_out(cup: Cup, recording: Recording) -> Array:

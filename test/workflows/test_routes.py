@@ -9,7 +9,7 @@ import signal
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.results import format_json
-from bellows_ros.workflows import workers
+from bellows_ros.workflows import identify as routes
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.simulate import simulate_recording
 from numpy.testing import assert_allclose
@@ -135,7 +135,7 @@ def killer(process):
     'nonsense://127.0.0.1:1', 'tcp://127.0.0.1:1'])
 def test_no_scheduler(settings, address, monkeypatch):
     pytest.importorskip('distributed', reason='extra dask')
-    monkeypatch.setattr(workers, 'ANSWER_TIMEOUT', 0.5)
+    monkeypatch.setattr(routes, 'ANSWER_TIMEOUT', 0.5)
     with pytest.raises(BellowsError, match=f"'{address}'.*'dask scheduler'"):
         identify(settings, dask=address)
     gc.collect()  # nothing is left that would wait for the scheduler when it is collected

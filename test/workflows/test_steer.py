@@ -1,6 +1,7 @@
 """Limits of motions in a file, and joint trajectories: steered, and in the shortest safe time."""
 
 import json
+from pathlib import Path
 
 from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
@@ -13,7 +14,7 @@ from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.plan_messages import JointPlan, PlanMessage
 from bellows_ros.files.plans import plans_in
-from bellows_ros.workflows.steer import steer_plan
+from bellows_ros.workflows.plan import steer_plan
 import numpy as np
 import pytest
 
@@ -99,39 +100,25 @@ def require_same_motion(arm, joints, tool):
     assert off[:, :3].max() < 0.05e-3 and off[:, 3:].max() < 0.1e-3
 
 
-def at_1_khz(joints, order):
-    """Return derivatives of the joints as a driver interpolates them."""
-    t = joints.times_ns / 1e9
-    curve = quintic(t, *joints[4:])
-    return curve(np.arange(0.0, t[-1], 1e-3), order)
-
-
-def test_steered_joints_move_the_tool_as_steered(arm, root, tmp_path):
-    joints, tool = answer(root, tmp_path, 'plan', '--steer', 'zvd')
+@pytest.mark.parametrize(('options', 'acceleration'), [
+    ('--steer zvd', np.inf), ('--steer zvd --limits limits.yaml', 2.0), ('--fastest', np.inf)])
+def test_joints_move_the_tool_as_answered_within_their_limits(
+        arm, root, tmp_path, monkeypatch, options, acceleration):
+    """Also between the points, where a driver interpolates by quintics."""
+    monkeypatch.chdir(tmp_path)
+    Path('limits.yaml').write_text('joint_acceleration: 2.0\n')
+    joints, tool = answer(root, tmp_path, 'plan', *options.split())
     assert joints.names == arm.moving
+    assert options == '--steer zvd' or joints.times_ns[-1] != 800_000_000
     require_same_motion(arm, joints, tool)
-    times = tool.times_ns[tool.times_ns <= joints.times_ns[-1]] / 1e9
-    curve = quintic(joints.times_ns / 1e9, *joints[4:])
-    T, _ = arm.tool(curve(times))  # as a driver interpolates between the points
-    assert np.abs(T[:, :3, 3] - tool.poses[:len(times), :3]).max() < 0.05e-3
-    limit = min(joint.speed for joint in arm.moving_joints)
-    assert np.abs(at_1_khz(joints, 1)).max() <= limit * (1 + 1e-6)
-
-
-def test_limits_of_joints_stretch_the_motion(arm, root, tmp_path):
-    limits = tmp_path / 'limits.yaml'
-    limits.write_text('joint_acceleration: 2.0\n')
-    joints, tool = answer(root, tmp_path, 'plan', '--steer', 'zvd', '--limits', str(limits))
-    require_same_motion(arm, joints, tool)
-    assert 1.5 < np.abs(at_1_khz(joints, 2)).max() <= 2.0 * (1 + 1e-6)
-
-
-def test_the_shortest_safe_time_is_written_in_joints(arm, root, tmp_path):
-    joints, tool = answer(root, tmp_path, 'plan', '--fastest')
-    require_same_motion(arm, joints, tool)
-    assert joints.times_ns[-1] == tool.times_ns[-1] != 800_000_000
+    t = joints.times_ns / 1e9
+    curve, times = quintic(t, *joints[4:]), np.arange(0.0, t[-1], 1e-3)
     limits = [joint.speed for joint in arm.moving_joints]
-    assert (np.abs(at_1_khz(joints, 1)).max(axis=0) <= np.array(limits) * (1 + 1e-6)).all()
+    assert (np.abs(curve(times, 1)).max(axis=0) <= np.array(limits) * (1 + 1e-6)).all()
+    assert np.abs(curve(times, 2)).max() <= acceleration * (1 + 1e-6)
+    places = tool.times_ns[tool.times_ns <= joints.times_ns[-1]] / 1e9
+    T, _ = arm.tool(curve(places))
+    assert np.abs(T[:, :3, 3] - tool.poses[:len(places), :3]).max() < 0.05e-3
 
 
 def test_a_singular_path_is_refused_with_its_time(root, tmp_path, capsys):

@@ -30,7 +30,7 @@ from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import NOISE_SAMPLES, Recording
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.residuals import AXES, Spectrum
+from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.savgol import bridged, savgol, weights, with_filtered_noise
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
@@ -209,21 +209,6 @@ class Validation(residuals.Comparison):
     def corners(self) -> CornerScores | None:
         """Errors in the corners of a tag, which rate the prediction; None for a body."""
         return corner_scores(self.recording, self.package)
-
-    @cached_property
-    def spectrum(self) -> Spectrum:
-        """Spectrum of the errors, with lost samples interpolated."""
-        return residuals.spectrum(residuals.interpolated(self.error), self._rate_hz)
-
-    @cached_property
-    def motion(self) -> Spectrum:
-        """Spectrum of the measured coordinates, with lost samples interpolated."""
-        return residuals.spectrum(residuals.interpolated(self.measured), self._rate_hz)
-
-    @property
-    def _rate_hz(self) -> float:
-        """Mean rate of the measured poses."""
-        return NS_PER_S / (float(np.ptp(self.stamps_ns)) / (len(self.stamps_ns) - 1))
 
     @property
     def moves(self) -> Mask:

@@ -6,7 +6,6 @@ Missing samples of motions are interpolated, because zeros would add power at al
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
@@ -152,46 +151,6 @@ def compare_recorded(predicted: Trajectory, tool: Trajectory, package: Trajector
     return compare(at_stamps, tool.select(inside), package.select(inside))
 
 
-class SpectralLine(NamedTuple):
-    """A spectral line: frequency (Hz), RMS (6,) of line and of remainder, m and rad."""
-
-    frequency: float
-    rms: Array
-    remainder: Array
-
-
-def line(found: Comparison) -> SpectralLine | None:
-    """
-    Return the strongest spectral line of the errors; None if the prediction has a stronger line.
-
-    A vibration of the robot's base or of a camera appears in the measured poses alone, while the
-    errors of a wrong cup have the frequencies of the motion.
-    """
-    present = np.asarray(np.isfinite(found.error).all(axis=1))
-    t = (found.stamps_ns - found.stamps_ns[0]) * 1e-9
-    size = np.where(found.scores.rms > 0.0, found.scores.rms, 1.0)
-    errors = np.where(present[:, None], found.error / size, 0.0)
-    count = PADDING * len(t)
-    power = np.sum(np.abs(np.fft.rfft(np.hanning(len(t))[:, None] * errors, count, 0))**2, axis=1)
-    frequency = float(np.argmax(power) / (count * np.median(np.diff(t))))
-    phase = 2.0 * np.pi * frequency * t[present]
-    basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase)])
-
-    def split(values: Array) -> tuple[Array, Array]:
-        """Return the line and the remainder of coordinates."""
-        amplitudes = np.linalg.lstsq(basis, values, rcond=None)[0]
-        return basis[:, :2] @ amplitudes[:2], values - basis @ amplitudes
-
-    rms, remainder, moving = (np.sqrt(np.mean(each**2, axis=0)) for each in (
-        *split(found.error[present]), split(found.predicted[present])[0]))
-    strongest = int(np.argmax(rms / size))
-    is_of_sensor = moving[strongest] < rms[strongest]
-    return SpectralLine(frequency, rms, remainder) if is_of_sensor else None
-
-
-PADDING = 8
-"""Ratio of the length of the zero-padded errors to the length of the errors."""
-
 SEGMENT_S = 2.0
 """Length of the segments of a spectrum, s: a resolution of 0.5 Hz."""
 
@@ -212,11 +171,6 @@ class Spectrum:
 
     frequency: Array
     density: Array
-
-    @property
-    def peak(self) -> Array:
-        """Frequency (Hz) of the largest density of each channel (C,)."""
-        return np.asarray(self.frequency[np.argmax(self.density, axis=0)])
 
     def band(self, part: float) -> tuple[Array, Array]:
         """

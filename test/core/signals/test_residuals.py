@@ -72,21 +72,3 @@ def test_relative_coordinates_do_not_depend_on_the_world():
     tool = Trajectory(stamps, o, R)
     package = Trajectory(stamps, o + np.einsum('nij,nj->ni', R, d), R @ exp_so3(phi))
     assert_allclose(residuals.relative_coordinates(tool, package), np.hstack([d, phi]), atol=1e-14)
-
-
-@pytest.mark.parametrize(('moving', 'is_found'), [(0.0, True), (2e-3, False)])
-def test_a_vibration_of_the_sensor_is_no_error_of_the_motion(moving, is_found):
-    """A line in the errors is a vibration only where the prediction has none as large."""
-    rng, t = np.random.default_rng(4), np.arange(3000) / 300.0
-    wave = np.outer(np.sin(2.0 * np.pi * 20.3 * t), [1.0, 0.5, 0.0, 0.0, 0.0, 0.0])
-    predicted = moving * wave + 0.01 * np.sin(0.7 * t)[:, None]
-    measured = predicted + 2e-4 * wave + 1e-4 * rng.standard_normal(wave.shape)
-    measured[500:520] = np.nan
-    found = residuals.line(residuals.Comparison(
-        np.rint(1e9 * t).astype(np.int64), measured, predicted,
-        residuals.score(measured, predicted)))
-    assert (found is not None) == is_found
-    if found:
-        assert_allclose(found.frequency, 20.3, atol=0.02)
-        assert_allclose(found.rms[:2], [1.41e-4, 0.71e-4], rtol=0.05)
-        assert_allclose(found.remainder, 1e-4, rtol=0.05)
