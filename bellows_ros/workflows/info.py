@@ -387,11 +387,12 @@ def _both_bodies(
 
 
 def _of_tag(package: PoseStream) -> list[Finding]:
-    """Return the remark on poses of a detected tag that are given as of a tracked body."""
+    """Return the remark on poses of a detected tag without its size."""
     time, body = timing(package.stamps_ns), package.trajectory()
     outliers = find_outliers(body, time.longest_step_ns)
+    has_corners = package.corners is not None
     found = sensor_remarks(body.select(outliers.good), time.rate_hz,
-                           outliers.excursions / len(body), False, False)
+                           outliers.excursions / len(body), has_corners, has_corners)
     return [remark._replace(topic=package.name) for remark in found]
 
 
@@ -511,7 +512,9 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
     why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
     if not is_comparable and len(tool.stamps_ns) > len(package.stamps_ns):
         why_tool.append(f"it has more poses than '{package.name}'")
-    score = (3.0 if constant else 1.0) * below + 2.0 * constant + 1.5 * (
+    has_corners = package.corners is not None  # more precise than poses of the same tag
+    why_package += ['it has the corners of the tag'] * has_corners
+    score = (3.0 if constant else 1.0) * below + 2.0 * (constant + has_corners) + 1.5 * (
         len(why_tool) + len(why_package))
     if constant:
         why_package.insert(0, f'it stays {1e3 * low:.1f} to {1e3 * high:.1f} mm from it')

@@ -123,8 +123,10 @@ class Source:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings on the tool's axes, which come first, and on reading the plan."""
-        x, y, z = self.tool.rotation[0, :, 2].tolist()
+        """Findings on the tool's axes at rest, which come first, and on reading the plan."""
+        rows = simulation.tool_rows(self.tool)
+        at = np.argmax([simulation.stands(twist) for twist in rows[:, 7:]])  # else the first
+        x, y, z = self.tool.rotation[at, :, 2].tolist()
         return (*[Finding('tool_z')] * points_down((x, y, z), self.model[2]), *self.notes)
 
     @property

@@ -10,6 +10,7 @@ from bellows_ros.files.bag_writer import as_messages, write_bag
 from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.identify import identify
+from bellows_ros.workflows.info import info
 from bellows_ros.workflows.replay import replay
 import numpy as np
 import pytest
@@ -108,6 +109,8 @@ def test_a_replay_is_rated_by_the_corners(factor, failing, root):
     if not folder.exists():
         pytest.skip('needs the recordings of ../shared')
     truth = np.load(folder / '962_val_truth.npz')
+    roles = info(folder / '962_val', {'measured.tag_size': float(truth['side'])})
+    assert roles.package.topic == '/detections' and not roles.is_tag  # with its poses beside it
     R, R_tag = truth['camera_R'], truth['tag_R']
     camera = [*truth['camera_o'], *rotation_to_quaternion(R)]
     found = replay(folder / '962_val', {
