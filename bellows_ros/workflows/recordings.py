@@ -540,9 +540,7 @@ def _first_guess(
     pose = None if estimate or not world else frames.pose_of(world)
     if not (marked or estimate):
         return pose, None
-    poses = tool.trajectory(), package.trajectory(), values.cup.length
-    if marked:
-        guess, grip = frames.hand_eye(*poses, com)
-        return guess if estimate else pose, grip
-    return frames.closed_form(
-        *poses, np.zeros(3) if settings.package_frame == 'lip' else -com), None
+    to_lip = None if marked else np.zeros(3) if settings.package_frame == 'lip' else -com
+    guess, grip = frames.hand_eye(
+        tool.trajectory(), package.trajectory(), values.cup.length, com, to_lip)
+    return guess if estimate else pose, grip

@@ -391,45 +391,14 @@ def in_tool_world(package: PoseStream, pose: Array, frame_id: str) -> PoseStream
                    rotation=R @ package.rotation)
 
 
-def closed_form(
-    tool: Trajectory, package: Trajectory, length: float, origin_to_lip: Array
-) -> Array:
-    """
-    Return a first guess (7,) of the pose of the package's world in the tool's.
-
-    The slowest poses are treated as poses of one rigid body (hand-eye calibration), with parallel
-    frames.
-
-    Parameters
-    ----------
-    tool, package : Trajectory
-        Poses, each in the frame of its world.
-    length : float
-        Length of the cup, m.
-    origin_to_lip : ndarray (3,)
-        Vector from the origin of the package's poses to the lip, in axes of S, m.
-
-    Raises
-    ------
-    BellowsError
-        If there are too few common poses.
-
-    """
-    hand, eye = slow_poses(tool, package)
-    R = lie.mean_rotation(hand.rotation @ np.swapaxes(eye.rotation, 1, 2))
-    below = np.array([0.0, 0.0, -length]) - origin_to_lip
-    position = np.mean(
-        hand.position + lie.apply(hand.rotation, below) - lie.apply(R, eye.position), axis=0)
-    return np.concatenate([position, lie.rotation_to_quaternion(R)])
-
-
 def hand_eye(
-    tool: Trajectory, package: Trajectory, length: float, com: Array
-) -> tuple[Array, Alignment]:
+    tool: Trajectory, package: Trajectory, length: float, com: Array,
+    origin_to_lip: Array | None = None,
+) -> tuple[Array, Alignment | None]:
     """
-    Return initial guesses of the pose (7,) of the package's world, and of the marker's alignment.
+    Return initial guesses of the pose (7,) of the package's world, and of an unknown marker.
 
-    The slowest poses are treated as poses of one rigid body.
+    The slowest poses are treated as poses of one rigid body (hand-eye calibration).
 
     Parameters
     ----------
@@ -439,20 +408,28 @@ def hand_eye(
         Length of the cup, m.
     com : ndarray (3,)
         Position of B in the lip frame, m.
+    origin_to_lip : ndarray (3,), optional
+        Vector from the origin of a known marker with axes of S to the lip, m.
 
     Raises
     ------
     BellowsError
-        If the tool's rotation is too small.
+        If there are too few common poses, or the tool's rotation is too small for an unknown
+        marker.
 
     """
     hand, eye = slow_poses(tool, package)
+    lip = np.array([0.0, 0.0, -length])
+    if origin_to_lip is not None:
+        R = lie.mean_rotation(hand.rotation @ np.swapaxes(eye.rotation, 1, 2))
+        origin = (hand.position + lie.apply(hand.rotation, lip - origin_to_lip)
+                  - lie.apply(R, eye.position)).mean(axis=0)
+        return np.concatenate([origin, lie.rotation_to_quaternion(R)]), None
     R = rotation_of(hand.rotation, eye.rotation)
     R_marker_lip = lie.mean_rotation(np.swapaxes(eye.rotation, 1, 2) @ R.T @ hand.rotation)
-    # o + R o_M + R_E c = o_E + R_E (below + com)
+    # o + R o_M + R_E c = o_E + R_E (lip + com)
     A = np.concatenate([np.tile(np.eye(3), (len(hand), 1, 1)), hand.rotation], axis=2)
-    b = (hand.position + lie.apply(hand.rotation, com - [0.0, 0.0, length])
-         - lie.apply(R, eye.position))
+    b = hand.position + lie.apply(hand.rotation, com + lip) - lie.apply(R, eye.position)
     x = np.linalg.lstsq(A.reshape(-1, 6), b.ravel(), rcond=1e-6)[0]
     return np.concatenate([x[:3], lie.rotation_to_quaternion(R)]), Alignment(
         np.eye(3), R_marker_lip, x[3:], np.zeros(3))

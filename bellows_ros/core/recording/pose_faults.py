@@ -24,10 +24,12 @@ from bellows_ros.core.signals.trajectory import (
     Trajectory,
     TwistStream,
 )
+from bellows_ros.errors import UndeterminedError
 import numpy as np
 
 from . import conventions
 from .conventions import Bodies
+from .recording import ripple, ripple_part
 
 SAMPLES = 300
 """Number of compared pairs of poses."""
@@ -89,20 +91,11 @@ NOISE_RANGE = 8.0
 """Largest ratio of range (1 to 99 %) and standard deviation of the noise of a body at rest: 4.7
 for white noise."""
 
-DIFFERENCES = 4
-"""Order of the differences of poses that suppress motion."""
-
-DIFFERENCES_NORM = np.sqrt(70.0)
-"""Norm of the coefficients 1, -4, 6, -4, 1 of the differences."""
-
-MAX_STEP_ERROR = 0.2
-"""Largest relative deviation of uniform steps."""
+SHORT_HALF_WINDOW = 2
+"""Half window of a cubic that follows a package between poses of 30 Hz, samples."""
 
 MIN_SAMPLES = 20
-"""Smallest number of differences for an estimate of noise, which is then accurate to 25 %."""
-
-MAX_SAMPLES = 10_000
-"""Largest number of differences for an estimate of noise, which is then accurate to 1 %."""
+"""Smallest number of windows for an estimate of noise, which is then accurate to 25 %."""
 
 IN_DEGREES = ', but would with angles in degrees per second'
 """Cause of twists that do not fit the poses."""
@@ -293,24 +286,14 @@ def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
 
 
 def noise_of(body: Trajectory) -> Array:
-    """
-    Return the standard deviation (6,) of the noise of poses, m and rad, nan for too few.
-
-    Differences of fourth order of five poses at uniform steps suppress the motion.
-    """
-    n, steps = DIFFERENCES, np.diff(body.stamps_ns)
-    if len(body) <= n:
+    """Return the standard deviation (6,) of the noise of poses, m and rad, nan for too few."""
+    try:
+        change, _ = ripple(body, SHORT_HALF_WINDOW)
+    except UndeterminedError:
         return np.full(6, np.nan)
-    uniform = np.abs(steps / np.median(steps) - 1.0) < MAX_STEP_ERROR
-    at = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(uniform, n).all(axis=1))
-    if len(at) < MIN_SAMPLES:
-        return np.full(6, np.nan)
-    at = at[::len(at) // MAX_SAMPLES + 1]
-    middle = np.swapaxes(body.rotation[at + n // 2], 1, 2)
-    change = sum(weight * np.hstack([
-        body.position[at + k], lie.log_so3(middle @ body.rotation[at + k])])
-        for k, weight in enumerate((1.0, -4.0, 6.0, -4.0, 1.0)))
-    return np.asarray(MAD_TO_STD * np.median(np.abs(change), axis=0) / DIFFERENCES_NORM)
+    scale = MAD_TO_STD / np.sqrt(ripple_part(0.0, SHORT_HALF_WINDOW))
+    return np.asarray(scale * np.median(np.abs(change), axis=0)) if len(
+        change) >= MIN_SAMPLES else np.full(6, np.nan)
 
 
 def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:

@@ -181,13 +181,13 @@ def _two_worlds(
 ) -> Iterator[Finding]:
     """Yield another world of the package if that reduces the lip's spread."""
     try:
-        pose = alignment.closed_form(recording.measured_tool, recording.measured_package,
-                                     THESIS_LENGTH, -recording.payload.com)
+        com = recording.payload.com
+        pose, _ = alignment.hand_eye(
+            recording.measured_tool, recording.measured_package, THESIS_LENGTH, com, -com)
     except BellowsError:  # too short
         return
     moved = pose[:3] - tool.position + apply(
-        lie.quaternion_to_rotation(pose[3:]),
-        package.position - apply(package.rotation, recording.payload.com))
+        lie.quaternion_to_rotation(pose[3:]), package.position - apply(package.rotation, com))
     before, after = map(conventions.spread, (lip, apply(np.swapaxes(tool.rotation, 1, 2), moved)))
     if after <= MAX_SPREAD_RATIO * before:
         body = recording.measured_package

@@ -42,10 +42,10 @@ from bellows_ros.errors import BellowsError, shown, UndeterminedError
 import numpy as np
 
 HALF_WINDOW = 4
-"""Half window of a polynomial that follows the motion of a package up to noise, samples."""
+"""Half window of a quartic that follows the motion of a package up to noise, samples."""
 
-ORDER = 4
-"""Order of a polynomial that follows the motion of a package up to noise."""
+MAX_STEP_ERROR = 0.2
+"""Largest relative deviation of uniform steps."""
 
 NOISE_SAMPLES = 20_000
 """Smallest number of windows or samples for the noise, which gives the noise to 1 %."""
@@ -77,15 +77,17 @@ class Noise(NamedTuple):
     rotation: float
 
 
-def ripple(poses: Trajectory) -> tuple[Array, Array]:
+def ripple(poses: Trajectory, half_window: int = HALF_WINDOW) -> tuple[Array, Array]:
     """
-    Return residuals and rotations at the centres of quartics through nine poses.
+    Return residuals and rotations at the centres of polynomials through 2 n + 1 poses.
 
     Parameters
     ----------
     poses : Trajectory
-        Poses at a uniform rate, possibly with invalid samples. Of many windows only every second,
-        third, ... is used.
+        Poses, possibly with invalid samples; only windows of uniform steps are used, and of many
+        windows only every second, third, ...
+    half_window : int
+        Number n of poses on each side, at least 2, of a quartic, or a cubic for 2.
 
     Returns
     -------
@@ -98,8 +100,10 @@ def ripple(poses: Trajectory) -> tuple[Array, Array]:
         If there is no window of valid samples.
 
     """
-    n = HALF_WINDOW
-    whole = ~trajectory.any_within(~poses.valid, 2 * n + 1)
+    n, steps = half_window, np.diff(poses.stamps_ns)
+    usual = float(np.median(steps)) if len(steps) else 1.0
+    whole = ~(trajectory.any_within(~poses.valid, 2 * n + 1) | trajectory.any_within(
+        np.abs(steps / usual - 1.0) > MAX_STEP_ERROR, 2 * n))
     step = max(len(whole) // NOISE_SAMPLES, 1)
     centres = n + step * np.flatnonzero(whole[::step])
     if not len(centres):
@@ -108,17 +112,17 @@ def ripple(poses: Trajectory) -> tuple[Array, Array]:
             'Check the gaps and outliers in the report.')
     position, rotation = poses.position[centres], poses.rotation[centres]
     total = np.zeros((len(centres), 6))
-    for j, weight in enumerate(weights(n, ORDER, 1.0)[0].tolist(), start=-n):
+    for j, weight in enumerate(weights(n, min(n + 1, 4), 1.0)[0].tolist(), start=-n):
         total += weight * np.hstack([
             poses.position[centres + j] - position,
             log_so3(np.swapaxes(rotation, 1, 2) @ poses.rotation[centres + j])])
     return total, rotation
 
 
-def ripple_part(ar1: Array | float) -> Array:
+def ripple_part(ar1: Array | float, half_window: int = HALF_WINDOW) -> Array:
     """Return the ratio of the ripple's variance and the noise's variance for first-order noise."""
-    residue = -weights(HALF_WINDOW, ORDER, 1.0)[0]
-    residue[HALF_WINDOW] += 1.0
+    residue = -weights(half_window, min(half_window + 1, 4), 1.0)[0]
+    residue[half_window] += 1.0
     steps = np.arange(len(residue))
     lags = np.abs(np.subtract.outer(steps, steps))
     return np.asarray(np.asarray(ar1)[..., None, None] ** lags @ residue @ residue)

@@ -128,10 +128,14 @@ def rigid():
             PoseStream('package', 'mocap', stamps, T[:, :3, 3], T[:, :3, :3]))
 
 
-def test_the_closed_form_is_exact_for_a_rigid_cup():
+@pytest.mark.parametrize('to_lip', [None, np.zeros(3)])
+def test_hand_eye_is_exact_for_a_rigid_cup(to_lip):
     """Find the transform as well as poses are interpolated between others 10 ms apart."""
     tool, package = rigid()
-    pose = alignment.closed_form(tool.trajectory(), package.trajectory(), LENGTH, np.zeros(3))
+    pose, grip = alignment.hand_eye(
+        tool.trajectory(), package.trajectory(), LENGTH, np.zeros(3), to_lip)
+    if grip:
+        assert_allclose(grip.R_package_markers_lip, np.eye(3), atol=1e-7)
     assert_allclose(
         lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3]), T_BASE_MOCAP, atol=1e-7)
     moved = alignment.in_tool_world(package, pose, 'base')
