@@ -25,8 +25,6 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStrea
 from bellows_ros.errors import BellowsError, is_name, shown
 import numpy as np
 
-Indices = Stamps
-
 MAX_MESSAGE_BYTES = 4096
 """Largest size of a decoded message, bytes."""
 
@@ -285,9 +283,11 @@ def _dtype(order: str, doubles_at: int, size: int, layout: Layout) -> np.dtype[n
         'itemsize': size})
 
 
-def encode(stamps_ns: Indices, values: Array, names: tuple[str, ...], kind: str) -> np.ndarray:
+def encode(
+    stamps_ns: Stamps, values: Array, names: tuple[str, ...], kind: str
+) -> list[bytes]:
     """
-    Encode messages of one type, little-endian.
+    Encode messages of one type.
 
     Parameters
     ----------
@@ -300,19 +300,12 @@ def encode(stamps_ns: Indices, values: Array, names: tuple[str, ...], kind: str)
     kind : str
         One of `MOTIONS`.
 
-    Returns
-    -------
-    array (N,) of raw bytes
-
     """
     layout = LAYOUTS[kind]
-    message = pack(kind, names, 0, *np.zeros(layout.doubles))
-    raw = np.tile(np.frombuffer(message, f'V{len(message)}'), len(stamps_ns))
-    rows = raw.view(_dtype('<', len(message) - 8 * layout.doubles, len(message), layout))
-    rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, NS_PER_S)
-    filled = [*filter(None, (layout.pose, layout.twist))] or [slice(0, layout.doubles)]
-    rows['doubles'][:, np.r_[*filled]] = values
-    return raw
+    doubles = np.zeros((len(stamps_ns), layout.doubles))
+    doubles[:, np.r_[*filter(None, (layout.pose, layout.twist))]] = values
+    return [pack(kind, names, stamp_ns, *row) for stamp_ns, row in zip(
+        stamps_ns.tolist(), doubles.tolist(), strict=True)]
 
 
 Refused = dict[str, tuple[int, ...]]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import bag_writer, bags, File, trajectory_files
+from bellows_ros.files import bags, File, trajectory_files
 from bellows_ros.files.messages import POSE
 from bellows_ros.files.trajectory_files import TrackedBody
 import numpy as np
@@ -88,9 +88,9 @@ def convert(
         raise BellowsError('No pose can be used: ' + '; '.join(
             f"'{source}' ({body.name}): {body.left_out}" for body, source, _ in found)
             + '. Lower --markers, or track the bodies again.')
-    bag_writer.write_bag(out, [
-        bag_writer.as_messages(topic, POSE, body.stamps_ns, body.values,
-                               'motive' if world == 'motive_y_up' else 'world')
+    bags.write_bag(out, [
+        bags.as_messages(topic, POSE, body.stamps_ns, body.values,
+                         'motive' if world == 'motive_y_up' else 'world')
         for topic, (body, _, world) in zip(topics, found, strict=True)],
         storage, replace=replace)
     bodies = tuple(Body(topic, f'{source} ({body.name})', len(body.stamps_ns), body.left_out)

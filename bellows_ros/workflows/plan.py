@@ -48,7 +48,7 @@ from bellows_ros.core.signals import resampling, savgol, trajectory
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types, UnstableError
-from bellows_ros.files import bag_writer, bags, File, plan_messages, plans, results, safe_yaml
+from bellows_ros.files import bags, File, plan_messages, plans, results, safe_yaml
 from bellows_ros.files.messages import PACKAGE_FRAME, POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
 from bellows_ros.report.findings import entry, text
@@ -886,14 +886,14 @@ def write_prediction(
         motion = source.joints.along(tool, source.tool)
         joints.append(('/tool_arm/plan_joints', plan_messages.JOINTS, plan_messages.encode_joints(
             0, frame, source.joints.arm.moving, motion)))
-    bag_writer.write_bag(path, [
-        *(bag_writer.Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
+    bags.write_bag(path, [
+        *(bags.Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
             *joints,
             ('/tool_arm/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(plan)),
             ('/package/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(package)),
             ('/package/plan_path', plan_messages.PATH,
              plan_messages.encode_path(start, frame, package.times_ns, package.poses)))),
-        bag_writer.as_messages('/tool_arm/pose', POSE, stamps, plan.poses, frame),
-        bag_writer.as_messages('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
-        bag_writer.as_messages('/package/pose', POSE, stamps, package.poses, frame),
+        bags.as_messages('/tool_arm/pose', POSE, stamps, plan.poses, frame),
+        bags.as_messages('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
+        bags.as_messages('/package/pose', POSE, stamps, package.poses, frame),
     ], replace=replace_bag)

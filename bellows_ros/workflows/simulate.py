@@ -27,7 +27,7 @@ from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import atomic, bag_writer, File, messages
+from bellows_ros.files import atomic, bags, File, messages
 from bellows_ros.report.findings import warnings
 from bellows_ros.workflows.plan import bending, read_plan, smallest_margin
 from bellows_ros.workflows.recordings import no_progress, Progress
@@ -139,7 +139,7 @@ def simulate_recording(
     truth = _simulate(values, model, recipe, plans)
     recorded = _record(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
     progress(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
-    bag_writer.write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
+    bags.write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
         atomic.write_bytes(truth_file, _truth_bytes(
             cup_of(values), recipe, plans, truth, R_world_level))
@@ -201,23 +201,23 @@ def _simulate(
 
 def _record(
     recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, world: Array
-) -> list[bag_writer.Encoded]:
+) -> list[bags.Encoded]:
     """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
     seed = recipe.seed
     tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
-    recorded = list[bag_writer.Encoded]()
+    recorded = list[bags.Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, plans['package'])):
         late_ns = round(sensor.latency * NS_PER_S)  # delay of the receipt
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
-        recorded.append(bag_writer.as_messages(
+        recorded.append(bags.as_messages(
             recipe.topics[f'{name}_pose'], messages.POSE, poses.stamps_ns,
             pose_rows(poses), recipe.frame_id,
             log_times_ns=poses.stamps_ns + late_ns))
         if name == 'tool' and recipe.tool_twist:
             twists = sensing.measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
                                             generator(seed, 'tool twist'))
-            recorded.append(bag_writer.as_messages(
+            recorded.append(bags.as_messages(
                 recipe.topics['tool_twist'], messages.TWIST, poses.stamps_ns, twists,
                 recipe.frame_id, log_times_ns=poses.stamps_ns + late_ns))
     return recorded

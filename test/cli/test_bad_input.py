@@ -3,7 +3,7 @@
 import shlex
 import shutil
 
-from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.files.bags import as_messages, write_bag
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer

@@ -17,7 +17,7 @@ import signal
 import sys
 import time
 
-from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.files.bags import as_messages, write_bag
 from bellows_ros.files.results import write_json
 import numpy as np
 

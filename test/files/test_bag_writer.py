@@ -1,8 +1,7 @@
 """Recordings that are written: read back by this package and by rosbags, whole or not at all."""
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import as_messages, STORAGES, write_bag
-from bellows_ros.files.bags import read_streams
+from bellows_ros.files.bags import as_messages, read_streams, STORAGES, write_bag
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest

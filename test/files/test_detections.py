@@ -8,7 +8,7 @@ from bellows_ros.core.sensors.camera import (
     TagCamera,
 )
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import Encoded, write_bag
+from bellows_ros.files.bags import Encoded, write_bag
 from bellows_ros.files.detections import read_contents, read_views, TagSought
 from bellows_ros.files.messages import DETECTIONS, IMAGE, message_types, pack, TRANSFORMS
 import numpy as np

@@ -8,8 +8,7 @@ from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.bag_writer import as_messages, write_bag
-from bellows_ros.files.bags import read_contents, topics
+from bellows_ros.files.bags import as_messages, read_contents, topics, write_bag
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import format_json
 from bellows_ros.files.trajectory_files import read_motive, read_tum

@@ -6,8 +6,7 @@ import json
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.bags import read_streams
+from bellows_ros.files.bags import as_messages, Encoded, read_streams, write_bag
 from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json

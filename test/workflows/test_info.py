@@ -3,7 +3,7 @@
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
+from bellows_ros.files.bags import as_messages, Encoded, write_bag
 from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.report.printed import cell_file
 from bellows_ros.workflows.info import info, longest_hold

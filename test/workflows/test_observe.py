@@ -3,8 +3,7 @@
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
-from bellows_ros.files.bags import read_streams
+from bellows_ros.files.bags import as_messages, Encoded, read_streams, write_bag
 from bellows_ros.files.messages import BOOL
 from bellows_ros.workflows.replay import replay
 import numpy as np

@@ -11,7 +11,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
+from bellows_ros.files.bags import as_messages, Encoded, write_bag
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.plan_messages import (
     encode_multi_dof,

@@ -6,7 +6,7 @@ The projection, the lens and the shutter are the test's own.
 
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, rotation_to_quaternion
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.files.bag_writer import as_messages, write_bag
+from bellows_ros.files.bags import as_messages, write_bag
 from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.identify import identify

@@ -6,7 +6,7 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import NoTopicError
-from bellows_ros.files.bag_writer import as_messages, Encoded, write_bag
+from bellows_ros.files.bags import as_messages, Encoded, write_bag
 from bellows_ros.files.messages import BOOL, HEAD, POSE
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.toss import identify_release, toss_plan

@@ -1,8 +1,7 @@
 """Recordings whose two bodies have different clocks or different worlds."""
 
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.files.bag_writer import as_messages, write_bag
-from bellows_ros.files.bags import read_streams
+from bellows_ros.files.bags import as_messages, read_streams, write_bag
 import numpy as np
 
 TOPICS = {

@@ -303,7 +303,7 @@ class Recipe(NamedTuple):
     topics : mapping
         Topic of 'tool_pose', 'tool_twist' and 'package_pose'.
     storage, zstd : str, bool
-        Storage, as `files.bag_writer.write_bag` takes it.
+        Storage, as `files.bags.write_bag` takes it.
     seed : int
         Seed of all random numbers.
     start_ns : int
