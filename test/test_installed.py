@@ -1,10 +1,7 @@
 """The package as colcon installs it: its files, and the predictor used as a user does."""
 
 from dataclasses import dataclass
-import importlib.util
-import os
 from pathlib import Path
-import shutil
 import signal
 import subprocess
 import sys
@@ -54,40 +51,18 @@ def installed(tmp_path_factory, copy_sources, user_environment):
     return Installed(prefix, environment)
 
 
-def test_python_finds_the_installed_package(installed):
-    """Import what colcon installed, not the tree under test."""
+def test_every_file_is_where_python_and_ros_look(installed, root):
+    """Import what colcon installed; hold manifest, launch files, configuration, executables."""
     code = 'import bellows_ros as b; print(b.__file__, b.__version__)'
     file, version = installed.run(sys.executable, '-c', code).stdout.split()
-
-    assert Path(file).is_relative_to(installed.prefix)
-    assert version == __version__
-
-
-def test_share_holds_manifest_launch_files_and_configuration(installed, root):
-    """Find in share what ROS tools look for there."""
+    assert Path(file).is_relative_to(installed.prefix) and version == __version__
     share = installed.prefix / 'share' / 'bellows_ros'
     sources = [root / 'package.xml', *root.glob('launch/*.launch.py'), *root.glob('config/*.yaml')]
 
     for source in sources:
         assert (share / source.relative_to(root)).read_bytes() == source.read_bytes()
     assert len(list((share / 'launch').iterdir())) == 2
-    assert list((share / 'config').iterdir())
-
-
-def test_ament_index_knows_the_package(installed):
-    """Resolve the package as `ros2 run`, `ros2 launch` and other packages do."""
-    index = installed.prefix / 'share' / 'ament_index' / 'resource_index' / 'packages'
-    assert (index / 'bellows_ros').is_file()
-
-    pytest.importorskip('ament_index_python', reason='comes with rclpy')
-    code = 'from ament_index_python import packages as p; ' \
-        "print(p.get_package_share_directory('bellows_ros'))"
-    found = installed.run(sys.executable, '-c', code)
-    assert Path(found.stdout.strip()) == installed.prefix / 'share' / 'bellows_ros', found.stderr
-
-
-def test_executables_are_where_ros_looks_and_not_on_the_path(installed):
-    """Install into lib/bellows_ros, as setup.cfg says, and nothing into bin."""
+    assert (share.parent / 'ament_index/resource_index/packages/bellows_ros').is_file()
     names = {path.name for path in (installed.prefix / 'lib' / 'bellows_ros').iterdir()}
     assert names == {'predictor', 'identifier', 'bellows'}
     assert not (installed.prefix / 'bin').exists()
@@ -104,25 +79,10 @@ class User(Peer):
 
     def start(self, *arguments):
         """Run the executable with the parameter file and more ROS arguments."""
-        self._popen(
-            self._installed.environment, self._installed.prefix / 'lib/bellows_ros/predictor',
-            '--ros-args', '--params-file', self._file, *arguments)
-
-    def _popen(self, environment, *command):
-        """Start a process."""
         self.process = subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-    def launch(self, *arguments):
-        """Start it as `ros2 launch` does, where that is installed."""
-        if shutil.which('ros2') is None or importlib.util.find_spec('launch_ros') is None:
-            pytest.skip('ROS 2 launch is not here: neither it nor ros2cli is among the wheels')
-        environment = dict(self._installed.environment)
-        for name in ('AMENT_PREFIX_PATH', 'PYTHONPATH'):  # ours before those of ROS
-            environment[name] = os.pathsep.join(
-                [environment[name], *filter(None, [os.environ.get(name)])])
-        self._popen(environment, 'ros2', 'launch', 'bellows_ros', 'predictor.launch.py',
-                    f'params_file:={self._file}', *arguments)
+            [self._installed.prefix / 'lib/bellows_ros/predictor', '--ros-args', '--params-file',
+             self._file, *arguments], env=self._installed.environment, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True)
 
     def stop(self):
         """End it as Ctrl-C does, and return its log, which must be in order."""
@@ -163,10 +123,3 @@ def test_run_with_namespace_and_remaps(user):
     assert user.predictions('/driver/pose', '/cell/package/pose') == 5
     assert ' predictions out, 0 refused' in user.stop()
     assert user.process.returncode == 0
-
-
-def test_launch_file_starts_it(user):
-    """Predict in a cell's namespace from the driver's topic, started by the launch file."""
-    user.launch('namespace:=cell', 'tool_pose:=/driver/pose')
-    assert user.predictions('/driver/pose', '/cell/package/pose') == 5
-    user.stop()

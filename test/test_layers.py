@@ -3,7 +3,6 @@
 import ast
 from functools import cache
 import re
-import subprocess
 import sys
 
 SENTENCES = 'sentences'
@@ -29,30 +28,6 @@ ALLOWED = {
 FOR_ALL = {'errors', 'version'}
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
        'message_filters', 'rosbag2_py', 'std_srvs', 'tf2_')
-OPTIONAL = {
-    'matplotlib', 'mpl_toolkits', 'numba', 'PIL'}
-LATE = {
-    'bellows_ros/__init__.py': ('bellows_ros.library',),
-    'bellows_ros/library.py': ('bellows_ros.workflows',),
-    'bellows_ros/core/sensors/corners.py': ('scipy.optimize',),
-    'bellows_ros/files/messages.py': ('rosbags',),
-    'bellows_ros/nodes/command.py': (
-        'bellows_ros.core.parameters.table', 'bellows_ros.files',
-        'bellows_ros.nodes.guarding'),
-    'bellows_ros/demo.py': ('bellows_ros.nodes.conversions',),
-    'bellows_ros/exits.py': ('bellows_ros.report.console',),
-    'bellows_ros/workflows/identification.py': ('bellows_ros.workflows.replay',),
-    'bellows_ros/workflows/identify.py': (
-        'bellows_ros.workflows.replay',),
-    'bellows_ros/workflows/recordings.py': ('bellows_ros.workflows.holds',),
-    'bellows_ros/workflows/toss.py': ('bellows_ros.workflows.identify',)}
-"""
-What functions import, beside what is optional, and outside `cli`.
-
-The package itself loads nothing, so that `bellows --help` answers at once. rosbags takes 40 ms,
-and only some types need it. A command of a node limits the threads of NumPy before it loads that.
-The others load ROS or matplotlib, which are optional, or what few runs need.
-"""
 ONCE = {
     ('correction.py', 'is_possible'), ('correction.py', 'one_of'), ('wrenches.py', 'is_possible')}
 """Short kernels that Python calls at most once per measured pose or block of wrenches."""
@@ -120,12 +95,6 @@ def imported(root, room='*'):
             yield file, name
 
 
-def run(code, environment):
-    """Run code in an interpreter of its own."""
-    return subprocess.run(
-        [sys.executable, '-c', code], env=environment, capture_output=True, text=True)
-
-
 def test_rooms_import_only_what_lies_below_them(root):
     """Find no import that points upward or sideways."""
     wrong = []
@@ -134,19 +103,6 @@ def test_rooms_import_only_what_lies_below_them(root):
         target = room_named(name) if name.startswith('bellows_ros.') else room
         if target in ALLOWED and target not in ALLOWED[room] | {room} | FOR_ALL:
             wrong.append((path, name))
-    assert wrong == []
-
-
-def test_functions_import_what_is_optional(root):
-    """Import all else at the top, but what `LATE` names: the commands load on demand."""
-    wrong = []
-    for file in modules(root):
-        path, package = str(file.relative_to(root)), file.relative_to(root).parent.parts
-        names = {name for node in ast.walk(ast.parse(file.read_text()))
-                 if isinstance(node, ast.FunctionDef) for name in imports_in(node, package)}
-        wrong += [(path, name) for name in names if room_of(file, root) != 'cli' and not (
-            name.partition('.')[0] in OPTIONAL or is_ros(name)
-            or name.startswith(LATE.get(path, ())))]
     assert wrong == []
 
 
@@ -200,30 +156,6 @@ def test_modules_import_in_no_circle(root):
         for name in free:
             del left[name]
     assert left == {}
-
-
-def test_core_files_and_workflows_import_without_ros(root, user_environment):
-    """Import every module of theirs where an import of anything of ROS fails."""
-    names = [
-        name_of(file, root) for room in ('errors', 'core', 'files', 'workflows')
-        for file in modules(root, room)]
-    code = f"""
-import importlib, sys
-
-
-class NoRos:
-    def find_spec(self, name, path=None, target=None):
-        top = name.partition('.')[0]
-        if top.startswith({ROS!r}) or top.endswith('_msgs'):
-            raise ModuleNotFoundError('no ROS here: ' + name)
-
-sys.meta_path.insert(0, NoRos())
-for name in {names!r}:
-    importlib.import_module(name)
-print('imported', len(set({names!r})))
-"""
-    done = run(code, user_environment)
-    assert done.stdout == f'imported {len(names)}\n', done.stderr
 
 
 def decorated(function):

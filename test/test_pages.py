@@ -62,23 +62,6 @@ def test_commands_do_what_the_page_shows(name, tmp_path, user_environment):
                 assert PAGES.matches(command.output, done.stdout), where + done.stdout
 
 
-@pytest.mark.lane
-def test_readme_and_tutorial_follow_each_other_in_one_folder(tmp_path, user_environment):
-    """Run both in order as on a first day, from an empty home."""
-    home, folder = tmp_path / 'home', tmp_path / 'folder'
-    home.mkdir()
-    folder.mkdir()
-    PAGES.make_folder(folder)
-    variables = {**PAGES.environment(user_environment), 'HOME': str(home),
-                 'ROS_DOMAIN_ID': '85', 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-    for page in (ALL['README.md'], ALL['docs/tutorial.md']):
-        for block in PAGES.blocks(page.read_text()):
-            texts = [command.text for command in block.commands]
-            for text in texts if block.mode == 'run' else ():
-                done = PAGES.run(text, folder, variables)
-                assert done.returncode == 0, f'{page.name}: {text}\n{done.stdout}'
-
-
 def words(text):
     """Yield the words of each command in a line, without assignments and comments."""
     for part in re.split(r'&&|\|\||[;|\n]', text.replace('\\\n', ' ')):

@@ -64,10 +64,23 @@ URDF = """<robot name="arm"><link name="base"/><link name="tool"/>
 <limit lower="-1" upper="1" velocity="1"/></joint></robot>"""
 
 
-def test_plans(root):
-    """In every name and word of a message."""
+PARAMETERS = {'/**': {'ros__parameters': {
+    'package': {'mass': 1.8}, 'fit': {'method': 'output_error', 'free': ['com']},
+    'topics': {'tool_pose': '/a'}, 'recording': {'package_world': 'estimate'}}}}
+MOTION = {'kind': 'waypoints', 'waypoints': {'poses': [{'position': [0, 0, 1], 'move': 1.0}]},
+          'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0, 'frame': 'com'}}
+
+
+def test_each_string_of_plans_parameters_and_motions(root, tmp_path):
+    """Replace each key and text of a file in turn."""
     for content in with_hostile_strings(PLAN):
         harmless(plans.plans_in_yaml, content, HOSTILE)
+    values = resolve(read_parameters(root / 'bags/tossing.yaml'))
+    path = tmp_path / 'a.yaml'
+    for content, read in ((PARAMETERS, read_parameters), (MOTION, read_plan)):
+        for other in with_hostile_strings(content):
+            path.write_text(json.dumps(other))
+            harmless(read, path, *[values] * (read is read_plan))
 
 
 def test_names_of_a_urdf():
@@ -77,28 +90,6 @@ def test_names_of_a_urdf():
         harmless(read_arm, URDF.replace(word, text, 1), 'tool')
         harmless(read_arm, URDF.replace(f'"{word}"', f'"{text}"'), 'tool')
     harmless(read_arm, URDF, HOSTILE)
-
-
-def test_parameter_files(root, tmp_path):
-    """In every name and text of a file."""
-    content = {'/**': {'ros__parameters': {
-        'package': {'mass': 1.8}, 'fit': {'method': 'output_error', 'free': ['com']},
-        'topics': {'tool_pose': '/a'}, 'recording': {'package_world': 'estimate'}}}}
-    for number, other in enumerate(with_hostile_strings(content)):
-        path = tmp_path / f'{number}.yaml'
-        path.write_text(json.dumps(other))
-        harmless(read_parameters, path)
-
-
-def test_motions(root, tmp_path):
-    """In every string of a motion."""
-    motion = {'kind': 'waypoints', 'waypoints': {'poses': [{'position': [0, 0, 1], 'move': 1.0}]},
-              'tool': {'rate_hz': 500.0}, 'package': {'rate_hz': 360.0, 'frame': 'com'}}
-    values = resolve(read_parameters(root / 'bags/tossing.yaml'))
-    for number, other in enumerate(with_hostile_strings(motion)):
-        path = tmp_path / f'{number}.yaml'
-        path.write_text(json.dumps(other))
-        harmless(read_plan, path, values)
 
 
 def test_frames_and_topics_of_a_recording(bellows, tmp_path):  # noqa: F811
