@@ -478,7 +478,8 @@ class Observing:
 
     def _wrong_wrench(self, fault: str) -> Finding:
         """Return the finding on a wrong set-up of the force-torque sensor, which is not used."""
-        return Finding(f'wrench_{fault}', Level.ERROR, {}, self._wrench_in.topic)
+        return health.fact('wrench', Level.ERROR, self._wrench_in.topic,
+                           reason=health.REASONS[f'wrench_{fault}'])
 
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None before the first message."""

@@ -34,6 +34,9 @@ from ..report.health import fact, number, Status
 TAIL = 2.0
 """Predicted time after the end of a plan, s."""
 
+ANGLES = ('peak_bending', 'swing_left')
+"""Numbers of a prediction in rad, shown in degrees."""
+
 MAX_STEERED_DURATION = 60.0
 """Longest motion that is steered live, s; longer ones would delay the next answer."""
 
@@ -115,7 +118,7 @@ class Planning:
                 self._steer_joints(plan, tool, joints)
         except BellowsError as error:
             if not stop[0]:  # a newer plan is waiting
-                self._outcome = Status('plan', fact('plan', words=f'Refused. {error}'), {})
+                self._outcome = Status('plan', fact('state', state=f'Refused. {error}'), {})
                 self._pipeline.node.get_logger().warning(f'A plan was refused. {error}')
 
     def _predict(self, tool: Trajectory, tail: float, stop: Mask) -> PlanPrediction:
@@ -155,8 +158,10 @@ class Planning:
         released = outcome.grip is not None and safety[0] < 1.0
         level = Level.ERROR if released else Level.WARN if message else Level.OK
         return Status('plan', fact(
-            'plan', level, words=message or 'The plan is within all given limits.'), {
-            name: number(value) for name, value in outcome.summary().items()})
+            'state', level, state=message or 'The plan is within all given limits.'), {
+            f'{name} (degrees)' if name in ANGLES else name:
+            number(math.degrees(value) if name in ANGLES else value)
+            for name, value in outcome.summary().items()})
 
     # ---------------------------------------------------------------- reading
 

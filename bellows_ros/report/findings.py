@@ -11,6 +11,9 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.report.sentences import formatted
 
+OPTIONAL = ('assumed', 'cause', 'errors', 'given', 'order', 'share')
+"""Numbers of findings that may be absent."""
+
 
 @cache
 def facts() -> Mapping[str, Mapping[str, Any]]:
@@ -28,7 +31,7 @@ def text(finding: Finding) -> str:
 def _sentence(finding: Finding, part: str) -> str:
     """Return a part of a fact, '' for none, with the numbers of the finding; some are optional."""
     return formatted(facts()[finding.code].get(part, ''), **{
-        'share': '', 'errors': '', 'cause': '', 'topic': finding.topic, **finding.numbers})
+        **dict.fromkeys(OPTIONAL, ''), 'topic': finding.topic, **finding.numbers})
 
 
 def warnings(findings: Iterable[Finding]) -> tuple[str, ...]:

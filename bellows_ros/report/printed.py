@@ -160,29 +160,25 @@ def print_parameters(parameters: list[Parameter], out: Any) -> None:
 
 def print_release(result: ReleaseResult, out: Any) -> None:
     """Print the law with its errors, and its residuals for the drops of each mass."""
-    fit, milli, names = result.fit, 1e3, list(RELEASE_UNITS)
+    fit = result.fit
     out.line(f'Release identified from {many(len(fit.drops), "drop")} in '
              f'{listed(result.inputs)}', 'bold')
-    rows: list[tuple[str, ...]] = [('', '', 'standard error', 'scatter')]
-    for k in set(range(len(names))) - set(fit.not_identifiable):
-        factor, unit = display_unit(RELEASE_UNITS[names[k]])
-        numbers = (fit.law[k], fit.std[k], 0.0 if k else fit.scatter)
-        law, *errors = column([factor * x for x in numbers], factor * fit.std[k])
-        rows.append((names[k], f'{law} {unit}', *(
-            f'{text} {unit}' if number else ''
-            for text, number in zip(errors, numbers[1:], strict=True))))
-    rows += [(names[k], 'not identifiable', '', '') for k in fit.not_identifiable]
-    out.table(rows, right=True)
+    rows = [('parameter', 'value')]
+    for k, (name, of_law) in enumerate(RELEASE_UNITS.items()):
+        factor, unit = display_unit(of_law)
+        std = math.inf if k in fit.not_identifiable else float(fit.std[k])
+        rows.append((name, with_error(factor * fit.law[k], factor * std, unit)))
+    out.table(rows)
     out.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(
-        (f'{mass:.3g} kg', f'{count}', formatted(released, '.1f', 'ms', milli, 'later'),
-         f'{milli * position:.2f} mm', f'{milli * velocity:.1f} mm/s')
+        (f'{mass:.3g} kg', f'{count}', formatted(released, '.1f', 'ms', MILLI, 'later'),
+         f'{MILLI * position:.2f} mm', f'{MILLI * velocity:.1f} mm/s')
         for mass, count, released, position, velocity in result.masses())], right=True)
     speed = max(drop.speed for drop in fit.drops)
     out.paragraph(
-        f'The instant scatters by {milli * fit.scatter:.2f} ms from drop to drop: '
-        f'{milli * fit.scatter * speed:.1f} mm at {speed:.2f} m/s, the fastest release.',
-        f'The law leaves {milli * fit.position:.2f} mm of the positions (RMS); chi² per pose: '
-        f'{fit.chi2:.3g} (1 if model and noise are right).')
+        f'The instant scatters by {MILLI * fit.scatter:.2f} ms from drop to drop: '
+        f'{MILLI * fit.scatter * speed:.1f} mm at {speed:.2f} m/s, the fastest release.',
+        f'RMS residual of the positions: {MILLI * fit.position:.2f} mm; chi² per pose: '
+        f'{fit.chi2:.3g} (1: model and noise are right).')
     out.warn(*result.warnings)
 
 

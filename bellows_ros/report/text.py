@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .findings import text as text_of
-from .sentences import listed, many
+from .sentences import listed
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.validation import CornerScores
@@ -75,11 +75,6 @@ def formatted(
     if value is None or not math.isfinite(value):
         return unknown
     return f'{factor * value:z{form}} {unit}'.rstrip()
-
-
-def percent(ratio: float, decimals: int = 2) -> str:
-    """Return a ratio in percent, or a dash without motion."""
-    return formatted(ratio, f'.{decimals}f', '%', 100.0)
 
 
 def display_unit(unit: str) -> tuple[float, str]:
@@ -172,14 +167,12 @@ def print_identification(result: 'Identification', out: Any) -> None:
         if result.refusals:
             out.line('K and P of the refused fit, for diagnosis only:')
         print_cup(fit, out)
-    _print_samples(result, out)
-    if fit.converged:
-        out.paragraph(f'Condition number of the fit: {fit.condition_number:.3g}.')
+    out.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
     out.paragraph(*result.notes)
     out.warn(*result.warnings)
 
 
-def print_cup(fit: Fit, out: Any, title: str = '') -> None:
+def print_cup(fit: Fit, out: Any) -> None:
     """Print K and P with standard errors, a line per direction; with couplings all entries."""
     structure = structure_named(fit.structure)
     exact, given = fit.exactly_given, fit.from_given is not None
@@ -195,14 +188,18 @@ def print_cup(fit: Fit, out: Any, title: str = '') -> None:
             _in_percent(both, value) for value, _, both in ends)])
     names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
     for part in (columns[:2], columns[2:]) if given else (columns[::2],):
-        out.table(list(zip(names, *part, strict=True)), title=title)
+        out.table(list(zip(names, *part, strict=True)))
     if given:
         out.paragraph(TWO_ERRORS)
-    print_relaxation(fit.relaxation, fit.relaxation_std, out)
-    if any(fit.stretch):
-        out.paragraph('The cup is harder to stretch than to compress: cup.stretch ' + ', '.join(
-            f'{name} = {with_error(value, std)} {unit}' for name, value, std, unit in zip(
-                'ab', fit.stretch, fit.stretch_std, ('N/m^2', 'N'), strict=True)) + '.')
+    for text, names, units, values, errors in (
+            ('The rubber relaxes (K is the static stiffness)', ('r1', 'r2'), ('', ''),
+             fit.relaxation, fit.relaxation_std),
+            ('The cup is stiffer in tension than in compression', 'ab', ('N/m^2', 'N'),
+             fit.stretch, fit.stretch_std)):
+        if any(values):
+            out.paragraph(f'{text}: ' + ', '.join(
+                f'{name} = {with_error(*number)}' for name, *number in zip(
+                    names, values, errors, units, strict=True)) + '.')
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]
@@ -218,35 +215,6 @@ def _in_percent(error: float, value: float) -> str:
         return ''
     percent = 100.0 * error / abs(value)
     return f'± {percent:.2g} %' if percent < 99.5 else f'± {percent:.0f} %'
-
-
-def print_relaxation(
-    strengths: tuple[float, float], errors: tuple[float, float], out: Any
-) -> None:
-    """Print the relaxation of the rubber, if any."""
-    if any(strengths):
-        found = ' and '.join(
-            f'r{branch} = {with_error(strength, std)}' for branch, (strength, std) in enumerate(
-                zip(strengths, errors, strict=True), 1))
-        out.paragraph(f'The rubber relaxes: {found}. K is the static stiffness.')
-
-
-def _print_samples(result: 'Identification', out: Any) -> None:
-    """Print the number of used samples, and the faults of the poses of each topic."""
-    fit = result.fit
-    out.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
-    for part, stream in ((part, part.report[name]) for part in result.parts
-                         for name in ('tool_pose', 'package_pose')):
-        counts = {f'{reason.replace("_", " ")} message': len(indices)
-                  for reason, indices in stream['refused'].items()}
-        counts |= {'outlier': stream['outliers'], 'gap': len(stream['gaps']),
-                   'interpolated pose': stream['interpolated_poses']}
-        faults = [many(count, what) for what, count in counts.items() if count]
-        if faults:
-            rejected = many(stream['filtered_samples_left_out'], 'filtered sample')
-            where = f'{part.name}, ' if len(result.parts) > 1 else ''
-            out.paragraph(
-                f'  {where}{stream["topic"]}: {", ".join(faults)}; {rejected} near these')
 
 
 def print_replay(result: 'Replay', out: Any) -> None:
@@ -308,7 +276,8 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
         live_rms = live.corners.rms if live and live.corners else None
         unit, factor = corner_unit(corners)
         return [*rows, (f'corners {unit}', *(formatted(error, factor=factor) for error in (
-            corners.rms, live_rms, corners.noise, corners.largest)), percent(corners.nrmse, 1))]
+            corners.rms, live_rms, corners.noise, corners.largest)), formatted(
+                corners.nrmse, '.1f', '%', 100.0))]
     scores = validation.scores
     errors = [
         ('-',) * 6 if error is None else column((DISPLAY_FACTORS * error).tolist()) for error in (
@@ -316,5 +285,5 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     for i, name in enumerate(AXES):
         rows.append((
             f'{name:2} {DISPLAY_UNITS[i]}', *(error[i] for error in errors),
-            percent(validation.scores.nrmse[i], 1) + (' ' if validation.moves[i] else '*')))
+            formatted(scores.nrmse[i], '.1f', '%', 100.0) + ' *'[not validation.moves[i]]))
     return rows

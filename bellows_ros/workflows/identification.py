@@ -362,7 +362,9 @@ class Identification(CommandResult):
     def warnings(self) -> tuple[str, ...]:
         """Warnings: about the input, the fit, the recordings, the validations."""
         return (
-            *(text_of(Finding('left_out', Level.WARN, each._asdict())) for each in self.failed),
+            *(text_of(Finding('left_out', Level.WARN, {
+                'part': f"Recording '{bag}'", 'reason': reason}))
+              for bag, reason in self.failed),
             *self.assumed,
             *self._fit_warnings(),
             *(self.static.warnings if self.static else ()),
@@ -423,7 +425,8 @@ class Identification(CommandResult):
         doubts = self.verdict.refusals if self.verdict else ()
         return tuple(map(text_of, doubts if doubts or self.fit.usable else [Finding(
             'unusable', Level.ERROR, {
-                'why': 'this cup cannot hold a package' if self.fit.converged else (
+                'name': 'what the warnings name', 'why': (
+                    'this cup cannot hold a package' if self.fit.converged else
                     'the search did not converge')})]))
 
     def require_usable(self, force: bool = False) -> None:

@@ -333,8 +333,8 @@ def _with_roles(
                 for topic in described if topic.type_name == kind
                 and is_named(topic.name, name)), {})}
     used = {guess.topic for guess in (tool, package, twist) if guess}
-    findings = [Finding('unusable_topic', Level.WARN, {'problem': topic.problem}, topic.name)
-                for topic in described if topic.problem]
+    findings = [Finding('left_out', Level.WARN, {
+        'part': topic.name, 'reason': topic.problem}) for topic in described if topic.problem]
     findings += [remark for topic in described if topic.name in used for remark in topic.remarks]
     rest_s = None
     streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
@@ -415,15 +415,15 @@ def _why_separate(
     """Return the finding on two worlds or two clocks of two topics, None if consistent."""
     frames = {'tool': tool.frame_id, 'package': package.frame_id}
     if not same_frame(*frames.values()):
-        return Finding('two_worlds', Level.WARN, {
-            'why': "their frames are '{tool}' and '{package}'".format(**frames)})
+        return Finding('package_world', Level.WARN, {
+            'why': ": their frames are '{tool}' and '{package}'".format(**frames)})
     first, last = common_span(tool, package)
     if last < first:
         return Finding('two_clocks')
     low, high = IMPLAUSIBLE_DISTANCE
     if pair and low < pair.distance < high and pair.change > MAX_CHANGE:
-        return Finding('two_worlds', Level.WARN, {
-            'why': f'the package is {pair.distance:.2g} m from the tool, which changes by '
+        return Finding('package_world', Level.WARN, {
+            'why': f': the package is {pair.distance:.2g} m from the tool, which changes by '
                    f'{pair.change:.2g} m'})
     return None
 
@@ -443,7 +443,7 @@ def _initial_rest(
     # An off-centre package is also rotated, and a fit estimates its marker.
     aligned = rest.is_turned and not separate and bool(
         rest.tilts[0] > np.deg2rad(1.0) or rest.turned > np.deg2rad(10.0))
-    numbers = {'distance': pair.distance, 'seconds': rest.seconds, 'least': MIN_HOLD}
+    numbers = {'distance': pair.distance, 'seconds': rest.seconds}
     findings: list[Finding] = [Finding(code, Level.WARN, numbers) for code, applies in (
         ('start_distance', not separate), ('short_rest', rest.seconds < alignment.MIN_REST),
         ('no_hold', longest_hold(tool) < MIN_HOLD)) if applies]

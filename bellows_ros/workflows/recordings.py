@@ -479,7 +479,9 @@ def _registered(
         recording = with_tool_earlier(recording, float(offset))
         changes['time_offset'] = TimeOffset(rough_s + float(offset), float(std))
     elif is_late:
-        changes['remarks'] = (*recording.report.remarks, Finding('no_offset'))
+        changes['remarks'] = (*recording.report.remarks, Finding('not_identifiable', numbers={
+            'label': 'The time offset', 'why': 'the recorded stamps are used unchanged',
+            'how': 'Record a motion that is richer in all directions'}))
     return replace(recording, report=replace(recording.report, **changes))
 
 

@@ -343,7 +343,7 @@ def validated(values: Values, recording: Recording) -> Replay:
     outside = validity_range.beyond(
         valid, samples.envelope_of(recording, values.cup.length)) if valid else []
     if outside:
-        found.append(Finding('left_range', Level.WARN, {'ranges': outside}))
+        found.append(Finding('outside', Level.WARN, {'ranges': outside}))
     if is_worse:
         found += _stretch_findings(values, recording)
     return Replay(recording.name, values, recording, validation, tuple(found))

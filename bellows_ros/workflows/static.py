@@ -58,8 +58,9 @@ class StaticResult(NamedTuple):
         for recording in self.recordings:
             settled, failed = standstills_in(recording)
             if failed:
-                yield Finding('unsettled', Level.WARN, {
-                    'bag': recording.name, 'failed': failed, 'all': failed + len(settled)})
+                yield Finding('left_out', Level.WARN, {
+                    'part': f'{recording.name}: {failed} of {failed + len(settled)} standstills',
+                    'reason': 'the package was still swinging; hold each pose for longer'})
 
     @property
     def warnings(self) -> tuple[str, ...]:

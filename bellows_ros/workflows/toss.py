@@ -312,10 +312,12 @@ class ReleaseResult(CommandResult):
             f'{RELEASE_NAMES[k]} ({fit.law[k]:.3g} ± {fit.std[k]:.2g} '
             f'{RELEASE_UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in fit.not_identifiable)
         return tuple(filter(None, (
-            Finding('release_given', Level.WARN, {'numbers': numbers}) if numbers else None,
-            Finding('unused_drops', Level.WARN, {
-                'count': count, 'all': count + len(self.used),
-                'reasons': '; '.join(self.left_out)}) if count else None)))
+            Finding('not_identifiable', Level.WARN, {
+                'label': numbers, 'why': 'the given or default value is used',
+                'how': 'Add drops of a package of half or twice the mass'}) if numbers else None,
+            Finding('left_out', Level.WARN, {
+                'part': f'{count} of {count + len(self.used)} valve-offs',
+                'reason': '; '.join(self.left_out)}) if count else None)))
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
         """Return mass (kg), drops, release (s; NaN if later), and rms (m, m/s)."""

@@ -126,13 +126,18 @@ class FitVerdict(NamedTuple):
         return [each for each in likely[:1] if each.material]
 
     @property
-    def contradicted(self) -> list[str]:
+    def contradicted(self) -> list[Finding]:
         """Given values beyond their stated errors, if no single cause explains the deviations."""
         is_open = self.causing and not self.causing[0].certain and (
             self.causing[0].name != 'unknown' or self._is_misfit)
-        return [f'{name} by {off}, {pull:.2g} times {name}_std'
-                for name, (_, off, pull) in self.found.items()
-                if is_open and pull > SIGMAS and f'{name}_std' in PARAMETERS]
+        return self._off_given(Level.ERROR) if is_open else []
+
+    def _off_given(self, level: Level) -> list[Finding]:
+        """Return findings on given values beyond their stated errors."""
+        return [Finding('off_given', level, {
+            'off': off, 'pull': pull, 'order': self._in_order(name, value)}, name)
+            for name, (value, off, pull) in self.found.items()
+            if pull > SIGMAS and f'{name}_std' in PARAMETERS]
 
     @property
     def _is_misfit(self) -> bool:
@@ -156,11 +161,7 @@ class FitVerdict(NamedTuple):
                 'package.inertia', inertia):
             found.append(Finding('doubtful_mass', Level.WARN, {
                 'factor': math.exp(-self.log_inertia_ratio)}))
-        found += [
-            Finding('off_given', Level.WARN, {
-                'off': off, 'pull': pull, 'order': self._in_order(name, value)}, name)
-            for name, (value, off, pull) in self.found.items()
-            if pull > SIGMAS and f'{name}_std' in PARAMETERS]
+        found += self._off_given(Level.WARN)
         if self.found:
             values = ', '.join(
                 f'{name} [{", ".join(f"{x:.4g}" for x in value)}] (given {off} off)'
@@ -203,13 +204,12 @@ class FitVerdict(NamedTuple):
         reasons = [Finding('not_predicted', Level.ERROR, {
             'bag': simulated.bag, 'limit': MAX_NRMSE, 'axes': ', '.join(simulated.unpredicted)})
             for simulated in self.simulated if simulated.unpredicted]
-        if self.contradicted:
-            reasons.append(Finding('contradicted', Level.ERROR, {
-                'values': '; '.join(self.contradicted)}))
+        reasons += self.contradicted
         if self.faults or self.wrong:
             names = [name for each in self.wrong[:1]
                      for name in sets(cause_finding(each, self.given))]
-            reasons.append(Finding('correct_first', Level.ERROR, {
+            reasons.append(Finding('unusable', Level.ERROR, {
+                'why': 'the lines above name the cause',
                 'name': ' or '.join(names) or 'the recording'}))
         return tuple(reasons)
 
@@ -365,7 +365,7 @@ def _held_out(cup: Cup, recording: Recording) -> Array:
 
 # ------------------------------------------------------------------------- causes as findings
 
-SIDES = {'time_offset': ('ahead of', 'behind'), 'scale': ('large', 'small'),
+SIDES = {'time_offset': ('earlier', 'later'), 'scale': ('large', 'small'),
          'length_drift': ('shortens', 'lengthens')}
 """Words for a number that is not positive, and for a positive one, by cause."""
 
@@ -392,7 +392,7 @@ def cause_finding(cause: Cause, given: Given) -> Finding:
     if cause.name in MORE:
         numbers |= MORE[cause.name](cause, given)
     code = cause.name if cause.name != 'unknown' else 'unknown_cause'
-    return Finding(code, Level.WARN, numbers)
+    return Finding(code, Level.WARN, numbers, given.get('topics.package_pose', ''))
 
 
 def order_of(given: Array, moments: Array) -> str:
@@ -490,9 +490,9 @@ MORE: Mapping[str, Callable[[Cause, Given], dict[str, Any]]] = {
     'time_offset': lambda cause, given: {
         'size': f'{1e3 * abs(cause.theta[0]):.3f} ± {1e3 * cause.std[0]:.2g} ms'},
     'package_world': lambda cause, given: {
-        'motion': alignment.motion_sentence(cause.theta, cause.std)},
+        'why': alignment.motion_words(cause.theta, cause.std)},
     'slip': lambda cause, given: {
-        'size': math.hypot(*cause.theta[:2]), 'at': float(cause.theta[-1])},
+        'position': math.hypot(*cause.theta[:2]), 'rotation': 0.0, 'at': float(cause.theta[-1])},
     'package_marker': _marker, 'yaw': _yaw,
     'unknown': lambda cause, given: {
         'axis': cause.value, 'second': float(cause.theta[min(1, len(cause.theta) - 1)]),

@@ -1,5 +1,6 @@
 """The table of findings: every fact makes its sentences, whatever its numbers are."""
 
+import re
 from string import Formatter
 
 from bellows_ros.core.findings import Finding, Level
@@ -39,3 +40,9 @@ def test_a_finding_is_rendered():
     assert entry(finding)['sets'] == ['cup.lip_radius', 'vacuum.holding']
     assert warnings([finding, Finding('no_factor', Level.OK)]) == (text(finding),)
     assert not prevents(finding, 'fit')
+
+
+def test_every_code_has_its_sentence_and_is_used(root):
+    source = ''.join(path.read_text() for path in (root / 'bellows_ros').rglob('*.py'))
+    assert set(re.findall(r"(?:Finding|fact)\(\s*'(\w+)'", source)) <= set(facts())
+    assert [code for code in facts() if f"'{code.removeprefix('alarm_')}'" not in source] == []

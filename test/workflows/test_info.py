@@ -136,7 +136,7 @@ def test_one_body_alone_is_reported_as_insufficient(m, tmp_path):
     found = described(tmp_path, poses('/ur/tcp_pose', m['t'], m['o'], m['R']))
     assert found.tool and found.tool.topic == '/ur/tcp_pose'
     assert found.package is None
-    assert any('needs the poses of tool and package' in note for note in found.notes)
+    assert any('needed to identify a cup' in note for note in found.notes)
 
 
 def test_a_stamp_years_away_takes_no_memory():

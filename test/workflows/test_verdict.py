@@ -77,7 +77,7 @@ def test_a_certain_cause_or_a_likely_one_that_moves_k_refuses_a_cup(
 
 
 @pytest.mark.parametrize(('pull', 'certain', 'named'), [
-    (2.0, False, ''), (8.0, True, 'Correct'), (8.0, False, 'package.com by 18 mm')])
+    (2.0, False, ''), (8.0, True, 'Correct'), (8.0, False, 'package.com is 18 mm')])
 def test_contradicted_given_values_refuse_a_cup_without_a_certain_cause(pull, certain, named):
     found = judged(cause('com', [0.02, 0.0, 0.0], 0.1, certain))._replace(
         found={'package.com': (np.zeros(3), '18 mm', pull)})

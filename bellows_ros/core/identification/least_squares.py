@@ -179,10 +179,12 @@ def _sizes_of_columns(normal: Array, structure: Structure) -> Array:
 def _notes(structure: Structure, is_identifiable: Mask) -> Iterator[Finding]:
     """Yield a finding on each unidentifiable parameter, or one on all."""
     if not is_identifiable.any():
-        yield Finding('too_short')
+        yield Finding('not_identifiable', Level.WARN, {
+            'label': 'Each entry of K and P', 'why': 'the recordings are too short',
+            'how': 'Record longer'})
         return
     for label, is_known in zip(structure.labels, is_identifiable.tolist(), strict=True):
         if not is_known:
             yield Finding('not_identifiable', Level.WARN, {
                 'label': label, 'why': 'its standard error is as large as itself, or larger',
-                'how': remedy_for(label, structure), 'given': ''})
+                'how': remedy_for(label, structure)})

@@ -446,7 +446,8 @@ def _relaxed(fit: Fit, found: Solution, covariance: Array) -> Fit:
     is_assumed = np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]
     return replace(
         fit, relaxation=_pair(strengths), relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
-        notes=(*fit.notes, *[findings.Finding('r2_assumed')] * bool(is_assumed)))
+        notes=(*fit.notes, *[findings.Finding(
+            'no_hold', numbers={'assumed': ': r2 is assumed'})] * bool(is_assumed)))
 
 
 def _pair(values: Array) -> tuple[float, float]:

@@ -250,8 +250,7 @@ class Validation(residuals.Comparison):
                 'rotation': float(self.scores.rms[3:].max())})
         if not (failing or self.moves.any()):
             return Finding('small_motion')
-        return Finding('above_limit' if failing else 'within_limit', Level.OK, {
-            'limit': limit, 'axes': failing})
+        return Finding('above_limit', Level.OK, {'limit': limit, 'axes': failing or ('none',)})
 
 
 def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> Validation:
@@ -286,8 +285,8 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
         runs.append(run)
         findings += more
     findings += [
-        Finding('begins_anew', Level.WARN, {
-            'duration': (after - before) / NS_PER_S,
+        Finding('gap', Level.WARN, {
+            'what': 'begins anew after', 'duration': (after - before) / NS_PER_S,
             'begin': (before - recording.start_ns) / NS_PER_S})
         for before, after in ((int(one.tool.stamps_ns[-1]), int(other.tool.stamps_ns[0]))
                               for one, other in pairwise(runs))]
@@ -324,7 +323,8 @@ def _run(
         state = _fitted_state(cup, recording, tool, state)
     moved = simulate(cup, payload, tool, state, gravity)
     return Run(tool, moved, state, start), [
-        Finding('bridged', Level.WARN, {'duration': duration, 'begin': since})
+        Finding('gap', Level.WARN, {
+            'what': 'bridges', 'duration': duration, 'begin': since})
         for since, duration in gaps.tolist() if duration > MAX_BRIDGE_TIME]
 
 

@@ -455,16 +455,15 @@ def motion_of(pose: Array, middle: Array) -> Array:
     return np.concatenate([pose[:3] + R @ middle - middle, lie.log_so3(R)])
 
 
-def motion_sentence(theta: Array, std: Array | None = None) -> str:
-    """Return a sentence on the difference of the worlds (6,), m and rad, with its errors (6,)."""
+def motion_words(theta: Array, std: Array | None = None) -> str:
+    """Return words for the difference of the worlds (6,), m and rad, with its errors (6,)."""
     sizes = []
     for part, scale, unit in ((slice(3, 6), np.rad2deg(1.0), 'degrees'), (slice(0, 3), 1e3, 'mm')):
         size = float(np.linalg.norm(theta[part]))
         error = '' if std is None else (
             f' ± {scale * np.linalg.norm(theta[part] * std[part]) / max(size, 1e-12):.2g}')
         sizes.append(f'{scale * size:.{2 if scale < 1e3 else 1}f}{error} {unit}')
-    return (f'The poses of tool and package are in two worlds, turned by {sizes[0]} and apart '
-            f'by {sizes[1]}')
+    return f', turned by {sizes[0]} and apart by {sizes[1]}'
 
 
 def slow_poses(tool: Trajectory, package: Trajectory) -> tuple[Trajectory, Trajectory]:

@@ -253,8 +253,8 @@ def remarks_on(report: StreamReport) -> list[Finding]:
     recorded, time, arrivals = report.recorded, report.timing, report.arrivals
     topic = recorded.name
     lasting = lasting_steps(report)
-    remarks = [Finding('step', Level.WARN, {
-        'count': len(lasting), 'shift': max(step.position for step in lasting),
+    remarks = [Finding('slip', Level.WARN, {
+        'position': max(step.position for step in lasting),
         'rotation': max(step.rotation for step in lasting),
         'at': float(recorded.stamps_ns[lasting[0].before] - recorded.stamps_ns[0]) / NS_PER_S},
         topic)] if lasting else []

@@ -160,8 +160,8 @@ def misplaced(recording: Recording) -> Iterator[Finding]:
     if apart := [*_two_worlds(recording, tool, package, lip)]:
         yield from apart
     elif away > conventions.MAX_DISTANCE:
-        yield Finding('two_worlds', Level.ERROR, {
-            'why': f'the lip of the cup would be {away:.3g} m from the tool tip'})
+        yield Finding('package_world', Level.ERROR, {
+            'why': f': the lip of the cup would be {away:.3g} m from the tool tip'})
     elif above > 0.0:  # mostly: the package may have fallen
         centre = apply(back, package.position - tool.position)
         is_frame = recording.settings.package_frame == 'com' and np.median(centre[:, 2]) < 0.0
@@ -193,7 +193,7 @@ def _two_worlds(
         body = recording.measured_package
         motion = alignment.motion_of(pose, body.position[body.valid].mean(axis=0))
         yield Finding('package_world', Level.ERROR, {
-            'motion': alignment.motion_sentence(motion), 'share': (
+            'why': alignment.motion_words(motion), 'share': (
                 f' Seen from the tool, the lip of the cup moves by {1e3 * before:.0f} mm, and by '
                 f'{1e3 * after:.0f} mm without that.')})
 
@@ -241,7 +241,7 @@ def clocks_apart(recording: Recording) -> Iterator[Finding]:
     elif late:
         yield Finding('time_offset', Level.ERROR, {
             'late': late, 'size': f'about {abs(late):.2f} s',
-            'side': 'behind' if late > 0.0 else 'ahead of'}, 'tool')
+            'side': 'later' if late > 0.0 else 'earlier'}, 'tool')
 
 
 def _lag(tool: Trajectory, package: Trajectory) -> tuple[float, float]:
@@ -307,11 +307,11 @@ def jumps(recording: Recording) -> Iterator[Finding]:
     before = np.array([step.before for step in steps])
     turns = np.linalg.norm(lie.log_so3(np.swapaxes(R[before], 1, 2) @ R[before + 1]), axis=1)
     *others, largest = sorted(steps, key=attrgetter('position'))
-    code, size = 'slip', largest.position
     if turns.max() > MAX_SLIP_ANGLE:
-        code, largest, size = 'turn', steps[np.argmax(turns)], float(turns.max())
+        largest = steps[np.argmax(turns)]
     elif stream.timing.rate_hz < LOW_RATE_HZ or any(
             step.position > TAIL_SHARE * largest.position for step in others):
         return  # the fit separates slips from tails
-    yield Finding(code, Level.ERROR, {
-        'size': size, 'at': float(stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S}, 'package')
+    yield Finding('slip', Level.ERROR, {
+        'position': largest.position, 'rotation': float(turns[steps.index(largest)]),
+        'at': float(stamps_ns[largest.before] - stamps_ns[0]) / NS_PER_S}, 'package')

@@ -205,7 +205,7 @@ def test_a_jump_of_the_package_is_a_slip_even_with_other_causes():
     assert not remarks(own)
     (slip,) = remarks(jumped)
     assert slip.code == 'slip'
-    assert slip.numbers['size'] == pytest.approx(3e-3, rel=0.1)
+    assert slip.numbers['position'] == pytest.approx(3e-3, rel=0.1)
     assert slip.numbers['at'] == pytest.approx((half - 1) / 240.0, abs=2e-3)
     package = jumped.report.package
     often = replace(package.outliers, steps=7 * package.outliers.steps)  # of noise
@@ -220,7 +220,7 @@ def test_a_jump_of_the_package_is_a_slip_even_with_other_causes():
     R[half:] *= [-1.0, -1.0, 1.0]  # half a turn about z of the marker
     (turn,) = remarks(prepare(
         own.tool_pose, replace(poses, rotation=R), own.settings, own.tool_twist))
-    assert turn.code == 'turn' and turn.numbers['size'] == pytest.approx(np.pi, abs=0.2)
+    assert turn.code == 'slip' and turn.numbers['rotation'] == pytest.approx(np.pi, abs=0.2)
 
 
 def test_the_remedy_of_a_wrong_gravity_is_in_axes_of_the_recording():
@@ -239,7 +239,7 @@ def test_a_pose_that_an_occlusion_took_beside_a_dropout_is_left_out_and_no_step(
     """At 480 Hz the dropout of 31 ms is no gap of the motion."""
     laboratory = faulty('occlusion beside a dropout', 100, rate_hz=rate_hz, seconds=6.0)
     recording = laboratory.recording()
-    assert not any(remark.code == 'step' for remark in recording.report.remarks)
+    assert not any(remark.code == 'slip' for remark in recording.report.remarks)
     assert not remarks(recording)
     assert not diagnosed(laboratory)
 

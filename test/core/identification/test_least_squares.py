@@ -128,7 +128,7 @@ def test_one_window_gives_no_standard_error(round_cup):
     fit = simulated.least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
     assert np.all(np.isinf(np.diag(fit.covariance)))
     assert np.all(np.isinf(np.diag(fit.stiffness_std)))
-    assert [each.code for each in fit.notes] == ['too_short']
+    assert [each.code for each in fit.notes] == ['not_identifiable']
 
 
 def test_noise_of_motion_capture_biases_little():

@@ -181,7 +181,8 @@ def test_the_true_cup_is_right_behind_gaps_of_either_body(tool_gaps, package_gap
     assert len(found.runs) == 1 + len(tool_gaps)
     assert found.worse_than_noise == ()
     assert np.all(found.scores.rms < 1.5 * found.noise)
-    assert sum(each.code == 'begins_anew' for each in found.findings) == len(tool_gaps)
+    assert sum(each.numbers['what'] == 'begins anew after'
+               for each in found.findings) == len(tool_gaps)
     wrong = validate(Cup(0.8 * simulated.CUP.stiffness, simulated.CUP.damping,
                          simulated.CUP.length), recording)
     assert wrong.worse_than_noise

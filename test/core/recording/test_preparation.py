@@ -175,7 +175,7 @@ def test_steps_jitter_and_a_centre_of_mass_aside_are_warned_about():
     aside = displaced(package, slice(None), np.array([0.01, 0, 0]), np.zeros(3), True)
     found = prepare(stream(step), stream(aside, '/package'), settings)
     jump, aside = found.report.remarks
-    assert (jump.code, jump.topic) == ('step', '/tool')
+    assert (jump.code, jump.topic) == ('slip', '/tool')
     assert (aside.code, aside.numbers) == ('com_aside', {'aside': pytest.approx(0.01)})
     late = tool.stamps_ns + rng.integers(0, 1_000_000, len(tool))
     jittered = Trajectory(late, tool.position, tool.rotation)
@@ -212,7 +212,7 @@ def test_jitter_of_a_moving_body_is_no_step_and_hides_no_large_one():
         jittered = Trajectory(late, poses.position, poses.rotation)
         found = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.remarks
         codes = [remark.code for remark in found]
-        assert codes.count('step') == steps
+        assert codes.count('slip') == steps
         assert codes.count('jitter') == 1
 
 
@@ -224,7 +224,7 @@ def test_a_step_as_a_slow_camera_sees_many_is_of_the_motion(rate_hz, size, warne
     poses = Trajectory(START + (seconds * 1e9).astype(np.int64), swing, exp_so3(4.0 * swing))
     found = replace(find_outliers(poses, 10**9), steps=(LastingStep(100, size, 4.0 * size),))
     remarks = remarks_on(StreamReport(stream(poses), timing(poses.stamps_ns), found))
-    assert any(remark.code == 'step' for remark in remarks) is warned
+    assert any(remark.code == 'slip' for remark in remarks) is warned
 
 
 @pytest.mark.parametrize(('rate_hz', 'clock_hz', 'code'), [
@@ -311,13 +311,13 @@ def test_errors_of_a_slow_detector_that_last_for_a_while_are_no_steps():
     """Errors of tags keep for many frames and fade; a lasting step of 0.6 rad is one."""
     rng = np.random.default_rng(5)
     poses = held(72, rate_hz=30.0, seconds=40.0)[1]
-    for turn, expected in ((0.35, []), (0.8, ['step'])):
+    for turn, expected in ((0.35, []), (0.8, ['slip'])):
         length = 25 if not expected else len(poses)
         moved = noisy(rng, displaced(poses, slice(300, 300 + length), np.array([0.01, 0.0, 0.0]),
                                      np.array([turn, 0.0, 0.0]), True), Noise(5e-4, 5e-3))
         found = find_outliers(moved, 10**8)
         remarks = remarks_on(StreamReport(stream(moved), timing(moved.stamps_ns), found))
-        assert [each.code for each in remarks if each.code == 'step'] == expected
+        assert [each.code for each in remarks if each.code == 'slip'] == expected
 
 
 def rounded_stamps(rate_hz, count):
