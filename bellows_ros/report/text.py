@@ -191,15 +191,15 @@ def print_cup(fit: Fit, out: Any) -> None:
         out.table(list(zip(names, *part, strict=True)))
     if given:
         out.paragraph(TWO_ERRORS)
-    for text, names, units, values, errors in (
-            ('The rubber relaxes (K is the static stiffness)', ('r1', 'r2'), ('', ''),
-             fit.relaxation, fit.relaxation_std),
-            ('The cup is stiffer in tension than in compression', 'ab', ('N/m^2', 'N'),
-             fit.stretch, fit.stretch_std)):
-        if any(values):
-            out.paragraph(f'{text}: ' + ', '.join(
-                f'{name} = {with_error(*number)}' for name, *number in zip(
-                    names, values, errors, units, strict=True)) + '.')
+    for law, numbers, stds, labels, units in (
+            ('The rubber relaxes (K is the static stiffness)', fit.relaxation,
+             fit.relaxation_std, ('r1', 'r2'), ('', '')),
+            ('The cup is stiffer in tension than in compression', fit.stretch,
+             fit.stretch_std, ('a', 'b'), ('N/m^2', 'N'))):
+        if any(numbers):
+            out.paragraph(f'{law}: ' + ', '.join(
+                f'{label} = {with_error(value, error, unit)}' for label, value, error, unit in zip(
+                    labels, numbers, stds, units, strict=True)) + '.')
     for _, name, matrix, _, std in matrices if structure.couples else ():
         linear, coupling, angular = UNITS[name]
         rows: list[tuple[str, ...]] = [('', *AXES)]
