@@ -214,10 +214,10 @@ def info(arguments: Any, console: 'Console') -> Outcome:
         'read and fit in N processes that keep their recordings, -1 for one per core; unusable '
         'recordings are then reported and left out')),
     click.option('--dask', default='', metavar='ADDRESS', help=(
-        'do it on the workers of a Dask scheduler instead (extra dask), for example '
+        'read and fit on the workers of a Dask scheduler (extra dask), for example '
         'tcp://host:8786; the workers must see the recordings under the same paths')),
     click.option('--release', is_flag=True, help=(
-        'identify release.* instead, from tosses with the cup given by the parameters; the valve '
+        'identify release.* instead, from drops with the cup given by the parameters; the valve '
         "is on 'topics.valve'")))
 def identify(arguments: Any, console: 'Console') -> Outcome:
     """
@@ -225,14 +225,14 @@ def identify(arguments: Any, console: 'Console') -> Outcome:
 
     The parameter file has the given quantities (the package, the cup's length, the topics), the
     method, and optional inputs: standstills, recordings for validation. --release identifies,
-    with a given cup, the valve from recordings of tosses.
+    with a given cup, the release from recordings of drops.
 
     For example:
       bellows identify bags/identification --params bags/package.yaml --out cup.yaml
       bellows identify first second --params my_cell.yaml --set fit.structure=full
       bellows identify recordings/* --params my_cell.yaml --jobs -1 --out cup.yaml
       bellows identify recording --params my_cell.yaml --out cup.yaml --out-cell cell.yaml
-      bellows identify tosses --release --params bags/tossing.yaml --out release.yaml
+      bellows identify drops --release --params bags/tossing.yaml --out release.yaml
 
     Exit code 1: the fit cannot be used.
 
@@ -330,8 +330,7 @@ def replay(arguments: Any, console: 'Console') -> Outcome:
       bellows replay bags/validation --params bags/cup.yaml --observe camera/box
       bellows replay second --params bags/cup.yaml --limit 5
 
-    Exit code 1: an axis that moves is above --limit; without it, above 5 % and 3 times what noise
-    explains.
+    Exit code 1: an axis that moves is above --limit; without it, above 5 % and 3 times the noise.
 
     Read on: docs/tutorial.md, docs/with_a_camera.md
     """
@@ -353,8 +352,7 @@ def replay(arguments: Any, console: 'Console') -> Outcome:
         'motion file (YAML): the motion of the tool and the tracking; '
         'config/motion_example.yaml explains every setting')),
     files('--plan', metavar='PLAN', help=(
-        'move the tool along this plan, as of bellows plan; then only the rest of --motion '
-        'counts')),
+        'motion of the tool as a plan, see bellows plan; --motion then states the sensors alone')),
     output('--out', kind=Folder, metavar='BAG', required=True, help='recording to write'),
     FORCE, JSON)
 def simulate(arguments: Any, console: 'Console') -> Outcome:
@@ -395,7 +393,7 @@ def parameters(arguments: Any, console: 'Console') -> Outcome:
     of --params and --set. A NAME is the beginning of the names to list.
 
     For example:
-      bellows parameters filter fit
+      bellows parameters fit cup
       bellows parameters --yaml > my_cell.yaml
       bellows parameters --params cup.yaml --mjcf cup.xml
 
