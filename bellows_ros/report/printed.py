@@ -81,14 +81,11 @@ def _topic_rows(result: Info) -> list[tuple[str, ...]]:
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in result.topics:
         begin = (topic.start_ns - first_ns) / NS_PER_S
-        timing = [  # a single message has no rate
-            form.format(value) if topic.kind and math.isfinite(value) else ''
-            for form, value in (
-                ('{:.1f} Hz', topic.rate_hz), ('{:.2f} ms', topic.jitter_s * 1e3),
-                ('{:.2f} s', begin), ('{:.2f} s', begin + topic.duration_s),
-                ('{}', len(topic.gaps)))]
-        rows.append((
-            topic.name, topic.type_name.rpartition('/')[2], str(topic.messages), *timing))
+        rows.append((topic.name, topic.type_name.rpartition('/')[2], str(topic.messages), *(
+            formatted(size, form, unit, unknown='') if topic.kind else '' for size, form, unit in (
+                (topic.rate_hz, '.1f', 'Hz'), (1e3 * topic.jitter_s, '.2f', 'ms'),
+                (begin, '.2f', 's'), (begin + topic.duration_s, '.2f', 's'),
+                (len(topic.gaps), '.0f', '')))))
     return rows
 
 
