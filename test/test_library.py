@@ -2,7 +2,6 @@
 
 import doctest
 from functools import partial
-import inspect
 import json
 import subprocess
 import sys
@@ -90,17 +89,6 @@ def test_a_cup_is_identified_from_arrays():
     assert_allclose(np.diag(result.cup.damping), np.diag(cup.damping), rtol=0.1)
 
 
-@pytest.mark.stress
-def test_rubber_is_identified_as_by_the_command(root):
-    """Find the relaxation of `bags/rubber_cup.yaml`; K is 10 % larger without."""
-    settings = bellows_ros.read_parameters(root / 'bags/package.yaml')
-    result = bellows_ros.identify(
-        root / 'bags/rubber', bellows_ros.read_package(root / 'bags/package.yaml'), 0.046,
-        {**settings, 'topics.tool_twist': ''})
-    assert_allclose(result.cup.stiffness[0, 0], 5400.0, rtol=0.02)
-    assert_allclose(result.cup.relaxation, (0.15, 0.15), atol=4e-3)
-
-
 TOSSING = 'bags/tossing.yaml'
 
 
@@ -186,11 +174,3 @@ def test_absurd_units_are_asked_about(call, asked):
     """Warn with the sentence that commands print."""
     with pytest.warns(UnitWarning, match=asked):
         call()
-
-
-def test_signatures_show_short_names():
-    """Print ArrayLike, not its members."""
-    for name in bellows_ros.__all__:
-        for item in [getattr(bellows_ros, name), *vars(getattr(bellows_ros, name)).values()]:
-            if inspect.isfunction(item):
-                assert '_Supports' not in str(inspect.signature(item)), name
