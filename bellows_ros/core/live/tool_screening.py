@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import entry, kernel
-from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
@@ -96,19 +95,19 @@ def pose_step(
     shift = t3.subtract(other_o, o)
     rotation = t3.rotation_between(q, other_q)
     v, w = t3.scale(1.0 / seconds, shift), t3.scale(1.0 / seconds, rotation)
-    excess = pose_distance((t3.norm(shift), t3.norm(rotation)), (
-        SHIFT_TOLERANCE + screening.MAX_TOOL_SPEED * seconds,
-        ROTATION_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
+    excess = max(
+        t3.norm(shift) / (SHIFT_TOLERANCE + screening.MAX_TOOL_SPEED * seconds),
+        t3.norm(rotation) / (ROTATION_TOLERANCE + screening.MAX_TOOL_RATE * seconds))
     if period == UNKNOWN_PERIOD:
         return excess, v, w
     velocity_change, speed = change(velocity, v)
     rate_change, angular_speed = change(rate, w)
     shorter = min(seconds, period) if period > 0.0 else seconds
     squared = 0.5 * (seconds + shorter) * shorter
-    jumps = velocity_change * shorter, rate_change * shorter
-    return max(excess, pose_distance(jumps, (
-        JUMP_TOLERANCE[0] + JITTER * speed + MAX_ACCELERATION[0] * squared,
-        JUMP_TOLERANCE[1] + JITTER * angular_speed + MAX_ACCELERATION[1] * squared))), v, w
+    shift_jump = JUMP_TOLERANCE[0] + JITTER * speed + MAX_ACCELERATION[0] * squared
+    turn_jump = JUMP_TOLERANCE[1] + JITTER * angular_speed + MAX_ACCELERATION[1] * squared
+    return max(excess, velocity_change * shorter / shift_jump,
+               rate_change * shorter / turn_jump), v, w
 
 
 class ToolArrivals:

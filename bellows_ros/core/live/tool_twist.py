@@ -16,7 +16,6 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
-from bellows_ros.core.geometry.pose_distance import pose_distance
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.held_package import Sample
 from bellows_ros.core.live.tool_screening import TwistSample
@@ -287,8 +286,8 @@ def with_measured_twist(
     rotation = t3.rotation_between(before[1], q)
     angle = t3.norm(t3.subtract(rotation, t3.scale(0.5 * seconds, t3.add(before[3], w))))
     cubed = seconds * seconds * seconds / 12.0
-    return (o, q, v, w), pose_distance((shift, angle), (
-        SHIFT_TOLERANCE + MAX_JERK * cubed, ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
+    return (o, q, v, w), max(shift / (SHIFT_TOLERANCE + MAX_JERK * cubed),
+                             angle / (ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
 
 
 class ToolMotion:

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import log_so3
-from bellows_ros.core.geometry.pose_distance import pose_distances
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
 from scipy.ndimage import find_objects, label, median_filter
@@ -97,7 +96,7 @@ class _Jumps(NamedTuple):
     @property
     def strength(self) -> Array:
         """Ratio (M,) of each jump to its threshold."""
-        return pose_distances(self.size, self.threshold)
+        return np.asarray((np.linalg.norm(self.size, axis=2) / self.threshold).max(axis=0))
 
 
 def increments_of(poses: Trajectory | PoseStream) -> Array:

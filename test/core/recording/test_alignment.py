@@ -57,26 +57,6 @@ def test_markers_turned_and_a_lip_aside_are_found_and_undone(frame):
     assert_same_poses(found.package(package_markers), moved(lip, COM, np.eye(3)), 1e-12)
 
 
-def test_alignment_is_that_of_the_thesis_at_rest_and_close_to_it_in_motion():
-    """(4.7)-(4.13) subtract the offset in axes of E, not S: the same at rest."""
-    tool, lip = held(41)
-    tool_markers = moved(tool, np.zeros(3), TOOL_MARKERS)
-    package_markers = moved(lip, ASIDE, PACKAGE_MARKERS)
-    found = aligned_at_rest(rest_of(tool_markers), rest_of(package_markers), 'lip', np.zeros(3))
-    R_E = tool_markers.rotation @ tool_markers.rotation[0].T
-    E_o_S = apply(np.swapaxes(R_E, -1, -2), package_markers.position - tool_markers.position)
-    E_o_S = E_o_S - E_o_S[0] * [1.0, 1.0, 0.0]
-    A_o_S = tool_markers.position + apply(R_E, E_o_S)
-    aligned = found.package(package_markers)
-    rest = slice(0, 700)
-    assert_allclose(aligned.position[rest], A_o_S[rest], atol=1e-12)
-    R_S = package_markers.rotation @ package_markers.rotation[0].T
-    assert_allclose(aligned.rotation, R_S, atol=1e-12)
-    bending = np.linalg.norm(log_so3(np.swapaxes(R_E, -1, -2) @ R_S), axis=1)
-    apart = np.linalg.norm(aligned.position - A_o_S, axis=1)
-    assert np.all(apart <= np.linalg.norm(ASIDE) * bending + 1e-12)
-
-
 def test_a_standstill_is_the_mean_of_noise_without_outliers():
     rng = np.random.default_rng(47)
     still = Trajectory(START + np.arange(720) * 2_777_778, np.tile([1.0, 2.0, 3.0], (720, 1)),

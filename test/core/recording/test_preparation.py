@@ -307,19 +307,6 @@ def test_segments_end_at_gaps_of_the_tool_that_cannot_be_bridged(
         assert segment.first_ns <= inside[0] <= inside[-1] <= segment.last_ns
 
 
-def test_errors_of_a_slow_detector_that_last_for_a_while_are_no_steps():
-    """Errors of tags keep for many frames and fade; a lasting step of 0.6 rad is one."""
-    rng = np.random.default_rng(5)
-    poses = held(72, rate_hz=30.0, seconds=40.0)[1]
-    for turn, expected in ((0.35, []), (0.8, ['slip'])):
-        length = 25 if not expected else len(poses)
-        moved = noisy(rng, displaced(poses, slice(300, 300 + length), np.array([0.01, 0.0, 0.0]),
-                                     np.array([turn, 0.0, 0.0]), True), Noise(5e-4, 5e-3))
-        found = find_outliers(moved, 10**8)
-        remarks = remarks_on(StreamReport(stream(moved), timing(moved.stamps_ns), found))
-        assert [each.code for each in remarks if each.code == 'slip'] == expected
-
-
 def rounded_stamps(rate_hz, count):
     """Give stamps as a driver rounds them: to whole nanoseconds, downwards."""
     return START + (np.arange(count) * 1_000_000_000) // rate_hz

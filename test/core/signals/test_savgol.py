@@ -1,6 +1,6 @@
 """The filter against polynomials, a slow reference, and the synthetic motions of the thesis."""
 
-from math import factorial, pi
+from math import factorial
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.signals import savgol as module
@@ -78,26 +78,6 @@ def test_agrees_with_a_slow_least_squares_fit_per_window(half_window, order):
     assert_allclose(result.rotation, rotation, atol=1e-9)
     assert_allclose(result.twist, twist, atol=1e-9, rtol=1e-9)
     assert_allclose(result.acceleration, acceleration, atol=1e-9, rtol=1e-9)
-
-
-@pytest.mark.parametrize('rate', [5.0, -5.0])
-def test_right_through_several_turns(rate):
-    """A wobbling spin, R = Rz(rate t) Rx(a sin(w t)): its body rate follows from the product."""
-    a, w, count = 0.4, 6.0, 2000
-    t = np.arange(count) / RATE_HZ
-    tilt, tilt_rate = a * np.sin(w * t), a * w * np.cos(w * t)
-    zero = np.zeros(count)
-    spin = lie.exp_so3(np.stack([zero, zero, rate * t], axis=1))
-    R = spin @ lie.exp_so3(np.stack([tilt, zero, zero], axis=1))
-    assert rate * t[-1] / (2 * pi) > 4 or rate < 0
-    s, c = np.sin(tilt), np.cos(tilt)
-    body_rate = np.stack([tilt_rate, rate * s, rate * c], axis=1)
-    body_rate2 = np.stack([-(w**2) * tilt, rate * c * tilt_rate, -rate * s * tilt_rate], axis=1)
-    result = savgol(trajectory_of(np.zeros((count, 3)), R), 15, 4)
-    assert result.valid.all()
-    # What a quartic over 31 samples leaves of motions of 6 rad/s; a jump of 2 pi would make 1e2.
-    assert_allclose(result.twist[:, 3:], body_rate[15:-15], atol=1e-4)
-    assert_allclose(result.acceleration[:, 3:], body_rate2[15:-15], atol=1e-2)
 
 
 def test_windows_beyond_the_reach_of_the_logarithm_are_not_valid():
