@@ -5,9 +5,10 @@ Noise n of the tool's poses moves the simulated package by G n, so that differen
 spectrum C(f) = R + G Q G^H, with spectra R of the package's poses and Q of the tool's. G follows
 from small motions d of the package,
 
-    d'' = A_p d + A_v d' + B_p S0 n + B_v S1 n,
+    d'' = A_p d + A_v d' + B_p S0 n + B_v (S0 n)',
 
-with the responses S0 and S1 of the filter of the tool's path, its values and its slopes. With
+with the response S0 of the filter of the tool's path. Its slopes follow S1, but the cubic curves
+between the rows of a path have the slopes of its poses on average. With
 exact poses of the tool, this is output error; with noisy ones, the sum of squares is the minimum
 over all paths of the tool (total least squares).
 """
@@ -64,7 +65,7 @@ class Response(NamedTuple):
         by = linearise(model, tool, body)
         left = iw[:, None, None] ** 2 * np.eye(6) - iw[:, None, None] * by.body_twist - (
             by.body_pose)
-        right = path[0, :, None, None] * by.tool_pose + path[1, :, None, None] * by.tool_twist
+        right = path[0, :, None, None] * (by.tool_pose + iw[:, None, None] * by.tool_twist)
         return cls(np.asarray(np.linalg.solve(left, right)), np.asarray(path))
 
 
