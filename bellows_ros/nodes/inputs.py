@@ -32,7 +32,6 @@ from ..core.geometry import lie
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.observer.observer import Observer, VERDICTS
 from ..core.sensors.camera import TagCamera
-from ..core.signals import transforms
 from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S, same_frame
 from ..core.signals.transforms import Chain
@@ -175,7 +174,6 @@ class TransformInput(SensorInput):
         """Subscribe to transforms, and to the static ones, which are sent once."""
         kind = optional_type(TRANSFORMS, 'tool_pose.type is tf', 'tool_arm/pose')
         self._on_pose = on_pose
-        transforms.warm_up()
         self._chain = Chain(values.frames.world, values.frames.tool)
         super().__init__(node, kind, '/tf', self._on_moving)
         self._static = SensorInput(

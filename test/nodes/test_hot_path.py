@@ -204,18 +204,14 @@ def landed():
     return landings and pipeline.live.state == 'released'
 partner.wait(landed)
 from bellows_ros.core.signals import transforms
-needed_after = [*needed]
-transforms.warm_up()  # as `TransformInput` does, for whose type there is no wheel
-needed.clear()
 chain = transforms.Chain('world', 'tool')
 for k in range(4):
     for parent, child in (('world', 'base'), ('base', 'arm'), ('arm', 'tool'))[k % 2:]:
         chain.add(parent, child, transforms.PoseSample(
             10 * k + 3 * len(child), (0.1 * k, 0.0, 1.0), (0.0, 0.0, 0.6, 0.8)), child == 'arm')
 assert list(chain.due())
-needed_after += needed
 found['answered'] = list(map(len, answered))
-print(json.dumps({**found, 'needed': needed_later + needed_after}))
+print(json.dumps({**found, 'needed': needed_later + needed}))
 """
 
 

@@ -740,11 +740,6 @@ class Recording:
         """White noise of tool and package, each at the stamps of the body."""
         return noise_of(self.aligned_tool), noise_of(self.aligned_package)
 
-    @cached_property
-    def measured_noise(self) -> tuple[Noise, Noise]:
-        """White noise of tool and package at the common stamps."""
-        return noise_of(self.measured_tool), noise_of(self.measured_package)
-
     @property
     def start_ns(self) -> int:
         """First stamp of the recording, ns; the filtered part begins half a window later."""

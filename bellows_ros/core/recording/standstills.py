@@ -106,7 +106,8 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
         If there are too few valid poses to separate noise from motion, or no standstill.
 
     """
-    bodies, noise = (recording.measured_tool, recording.measured_package), recording.measured_noise
+    bodies = recording.measured_tool, recording.measured_package
+    noise = recording.noise.tool, recording.noise.package
     blocks = _blocks(*bodies)
     spans = _spans_at_rest(bodies, noise, blocks)
     if not spans:

@@ -148,12 +148,3 @@ def interpolated_pose(samples: Sequence[PoseSample], stamp_ns: int) -> PoseSampl
     return PoseSample(
         stamp_ns, t3.add_scaled(t3.scale(1.0 - s, old.position), s, new.position),
         t3.normalised(chord) if any(chord) else chord)
-
-
-def warm_up() -> None:
-    """Compute poses of a chain once, before the first message."""
-    chain, q = Chain('world', 'tool'), (0.0, 0.0, 0.0, 1.0)
-    for stamp_ns in range(5):
-        parent, child = ('world', 'base', 'tool')[stamp_ns % 2:][:2]
-        chain.add(parent, child, PoseSample(stamp_ns, t3.ZERO, q))
-    assert len(list(chain.due())) == 1
