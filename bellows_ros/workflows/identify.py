@@ -97,8 +97,14 @@ def identify(
     effective = values
     if static:
         effective = values.replaced({'cup.length': static.cup_length})
-    with _runner(jobs, dask, len(values.bags)) as run:
-        parts, pairs, failed = read_all(effective, progress, run, poses)
+    bags = [os.fspath(bag) for bag in values.bags]
+    each, keep = reading.values_of_each(effective), frozenset(bags[:MAX_TESTED])
+    failed: Sequence[Failed] = ()
+    with _runner(jobs, dask, len(bags)) as run:
+        if run:
+            pairs, parts, failed = _read_elsewhere(bags, each, keep, progress, run)
+        else:
+            pairs, parts = _read_here(bags, each, keep, progress, poses or {})
         if not force:
             _require_no_faults(parts, effective, FORCE)
         return _identify(
@@ -232,28 +238,11 @@ def _attempted(
         return None, Failed(bag, f'{type(error).__name__}: {error}')
 
 
-def read_all(
-    values: Values, progress: Progress, run: 'Cluster | None' = None,
-    poses: Mapping[str, Poses] | None = None,
-) -> tuple[list[AnyRecording], Held, list[Failed]]:
-    """
-    Return usable recordings, their pairs for a fit, and unusable recordings.
-
-    Processes or a cluster read the recordings. Without them this process reads the recordings one
-    after the other, and all must be usable.
-    """
-    bags = [os.fspath(bag) for bag in values.bags]
-    keep, each = frozenset(bags[:MAX_TESTED]), reading.values_of_each(values)
-    pairs, parts, failed = _read_elsewhere(bags, each, keep, progress, run) if run else (
-        *_read_here(bags, each, keep, progress, poses or {}), [])
-    return parts, pairs, failed
-
-
 def _read_here(
     bags: Sequence[str], values: Sequence[Values], keep: Container[str], progress: Progress,
     poses: Mapping[str, Poses],
 ) -> tuple[Held, list[AnyRecording]]:
-    """Return recordings read one after the other."""
+    """Return recordings read one after the other, all of which must be usable."""
     pairs, parts = list[methods.Pair](), list[AnyRecording]()
     for number, (bag, own) in enumerate(zip(bags, values, strict=True)):
         progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
