@@ -376,8 +376,8 @@ Differing = tuple[str, str, str]
 
 def cause_finding(cause: Cause, given: Given) -> Finding:
     """Return a cause with its size, its share of the misfit, and given values corrected by it."""
-    share = f' It explains {100.0 * cause.share:.2g} % of the misfit.' * (
-        cause.name != 'unknown' and cause.share > 0.0)
+    is_part = cause.name != 'unknown' and cause.share > 0.0
+    share = f' It explains {100.0 * cause.share:.2g} % of the misfit.' if is_part else ''
     if cause.name in ('com', 'length') and cause.instead:
         return Finding('length', Level.WARN, {'offset': abs(float(cause.theta[-1]))})
     if cause.name in DIFFERING:

@@ -38,7 +38,7 @@ def words(findings):
 def cause(name, theta, share=0.9, certain=True):
     """Return what was found to be otherwise, with small standard errors."""
     theta = np.array(theta)
-    return Cause(name, '', theta, 1e-3 * np.abs(theta), share, 0.4, True, certain)
+    return Cause(name, '', theta, 1e-3 * np.abs(theta), np.float64(share), 0.4, True, certain)
 
 
 @pytest.mark.parametrize(('off', 'listed'), [(1.0, ()), (10.0, ('gravity', 'scale'))])

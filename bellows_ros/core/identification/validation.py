@@ -244,7 +244,8 @@ class Validation(residuals.Comparison):
         if corners := self.corners:
             return Finding('corners', Level.OK, {
                 'rms': corners.rms, 'motion': corners.motion, 'ratio': corners.nrmse,
-                'pixels': f'{corners.rms * corners.focal:.2g} pixels, ' * (corners.focal > 0.0),
+                'pixels': (f'{corners.rms * corners.focal:.2g} pixels, '
+                           if corners.focal > 0.0 else ''),
                 'chi2': corners.chi2, 'relation': 'above' if failing else 'within',
                 'limit': limit, 'position': float(self.scores.rms[:3].max()),
                 'rotation': float(self.scores.rms[3:].max())})
