@@ -530,7 +530,11 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
 def _twist_of(
     tool: PoseStream, twists: Mapping[str, TwistStream]
 ) -> tuple[Guess | None, bool]:
-    """Return the topic whose velocity matches the tool's poses, and whether it is in degrees."""
+    """
+    Return the topic whose velocity matches the tool's poses, and whether it is in degrees.
+
+    If the tool hardly moves, the topic with the stamps of the tool's poses is returned.
+    """
     matches = {name: twist_errors(tool, twist) for name, twist in twists.items()}
     compared = [(min(errors.values()), name) for name, (errors, _) in matches.items() if errors]
     error, name = min(compared, default=(np.inf, ''))
@@ -540,4 +544,8 @@ def _twist_of(
         frame = 'world' if errors['world'] <= 1.2 * errors['tool'] else 'tool'
         why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
         return Guess(name, (why,), frame), in_degrees
+    for name, (errors, in_degrees) in matches.items():
+        if not errors and np.mean(np.isin(twists[name].stamps_ns, tool.stamps_ns)) > 0.5:
+            why = 'it has the stamps of the tool, which moves too little to determine its axes'
+            return Guess(name, (why,), 'world'), in_degrees
     return None, False

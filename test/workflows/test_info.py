@@ -103,6 +103,11 @@ def test_twists_in_degrees_are_said_first_and_left_out(m, tmp_path, unit):
         assert 'tool_twist.frame' not in found.settings
 
 
+def test_twist_of_a_tool_at_rest_is_known_by_its_stamps(root):
+    found = info(root / 'bags/static', {'recording.end': 1.9})
+    assert found.twist and 'too little' in found.twist.why[0]
+
+
 def test_y_up_and_turned_markers_are_noticed(m, tmp_path):
     """Propose Motive's world and the alignment, with a rest that the recording has."""
     turn, up = exp_so3(np.array([0.0, 0.1, 0.8])), R_WORLD_MOTIVE.T
