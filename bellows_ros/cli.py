@@ -305,7 +305,7 @@ def _identify_release(arguments: Any, console: 'Console') -> Outcome:
     result = identify_release(
         read_settings(arguments, 'identifier', console), console.progress)
     if arguments.out:
-        write_parameters(arguments.out, result.parameters())
+        write_parameters(arguments.out, result.fit.parameters())
     return Outcome(partial(print_release, result), result)
 
 

@@ -11,7 +11,7 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import samples
-from bellows_ros.core.identification.quantities import as_found, KINDS, payload_of
+from bellows_ros.core.identification.quantities import as_found, KINDS
 from bellows_ros.core.identification.result import Fit, parameter_units
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
@@ -36,7 +36,7 @@ from bellows_ros.workflows.recordings import (
     world_finding,
 )
 from bellows_ros.workflows.static import length_sentence, StaticResult
-from bellows_ros.workflows.verdict import FitVerdict
+from bellows_ros.workflows.verdict import estimates_of, FitVerdict, FREE_PARAMETERS
 import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
@@ -50,11 +50,6 @@ CUP_EXTRAS = ('cup.relaxation', 'cup.stretch', 'cup.layout')
 
 UNKNOWN_STD = 1e9
 """Standard error of an unidentifiable entry in parameter files."""
-
-FREE_PARAMETERS = {
-    'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
-    'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
-"""Parameter and unit of each estimated quantity of cup and package."""
 
 CELL_PREFIXES = ('package.', 'recording.', 'topics.', 'tool_pose.', 'tool_twist.', 'gravity.',
                  'measured.', 'filter.', 'vacuum.')
@@ -228,20 +223,18 @@ class Identification(CommandResult):
         number = min(range(len(self.recordings or self.parts)), key=lambda n: float(np.sum(
             world.std if (world := self.parts[n].package_world) else 0.0)))
         free = {name: rows[0] for name, rows in self.fit.nuisances.items()}
-        package = payload_of(self.recordings[0].payload if self.recordings else (
-            conversion.package_of(self.values)), free)
-        estimates = {
-            'com': package.com, 'mass': package.mass,
-            'length': self.cup_length + float(np.sum(free.get('length', 0.0))),
-            'inertia': package.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
+        payload = self.recordings[0].payload if self.recordings else (
+            conversion.package_of(self.values))
+        estimates = estimates_of(
+            payload, free, self.cup_length + float(np.sum(free.get('length', 0.0))))
         of_package = {freed.name: np.array(freed.std) for freed in self.fit.freed} | {
             name: rows[0] for name, rows in self.fit.nuisances_std.items()}
         for name, (parameter, unit) in FREE_PARAMETERS.items():
             if name not in of_package:
                 continue
-            value, error = np.array(estimates[name]), of_package[name]
+            value, error = np.squeeze(estimates[name]), of_package[name]
             if name in ('mass', 'inertia'):
-                error = error * np.atleast_1d(value)[:len(error)]
+                error = error * estimates[name][:len(error)]
             result[parameter] = value.tolist(), np.resize(
                 np.pad(error, (0, value.size - len(error))), value.shape), unit
         if self.recordings:

@@ -204,12 +204,7 @@ def checked(recording: Recording, length: float) -> Recording:
 def _with_sentences(recording: Recording, remarks: Iterable[Finding]) -> Recording:
     """Return a recording with sentences on remarks as warnings."""
     return replace(recording, report=replace(recording.report, warnings=(
-        *recording.report.warnings, *remark_sentences(remarks))))
-
-
-def remark_sentences(remarks: Iterable[Finding]) -> tuple[str, ...]:
-    """Return sentences on a recording."""
-    return tuple(map(text, remarks))
+        *recording.report.warnings, *map(text, remarks))))
 
 
 def require_none(remarks: Iterable[Finding], use: str, more: str = '') -> None:
@@ -218,7 +213,7 @@ def require_none(remarks: Iterable[Finding], use: str, more: str = '') -> None:
         error = BellowsError if any(prevents(each, 'replay') for each in wrong) else (
             UnexplainedError)
         raise error(' '.join([
-            *remark_sentences(wrong),
+            *map(text, wrong),
             'More may be wrong: correct this, and run it again.', *[more] * bool(more)]))
 
 

@@ -143,11 +143,12 @@ def simulate_recording(
     if truth_file:
         atomic.write_bytes(truth_file, _truth_bytes(
             cup_of(values), recipe, plans, truth, R_world_level))
-    angle, worst = _bending(truth)
+    angles = bending(truth.tool.rotation, truth.package.rotation)
+    worst, angle = int(np.argmax(angles)), float(angles.max())
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
         {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
-        angle, worst, warnings(filter(None, [flip_finding(angle)])),
+        angle, float(truth.tool.seconds[worst]), warnings(filter(None, [flip_finding(angle)])),
         smallest_margin(values, model, *truth, truth.tool.seconds))
 
 
@@ -242,10 +243,3 @@ def _truth_bytes(
     np.savez(file, t=(sampled_ns - recipe.start_ns) / NS_PER_S, **arrays,  # type: ignore[arg-type]
              K=cup.stiffness, P=cup.damping)
     return file.getvalue()
-
-
-def _bending(truth: Truth) -> tuple[float, float]:
-    """Return the largest bending (rad), and its time (s)."""
-    angle = bending(truth.tool.rotation, truth.package.rotation)
-    worst = int(np.argmax(angle))
-    return float(angle[worst]), float(truth.tool.seconds[worst])

@@ -332,10 +332,6 @@ class ReleaseResult(CommandResult):
                 *np.sqrt([np.mean(position**2), np.mean(velocity**2)]).tolist()))
         return rows
 
-    def parameters(self) -> dict[str, Any]:
-        """Return the parameters for the release file."""
-        return self.fit.parameters()
-
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         fit = self.fit
@@ -396,7 +392,7 @@ def identify_release(
     progress('done', 1.0)
     result = ReleaseResult(fit, names, tuple(used), tuple(left_out), values)
     try:
-        checks.resolve(values.replaced(result.parameters()))
+        checks.resolve(values.replaced(fit.parameters()))
     except BellowsError as error:
         raise UnexplainedError(f'The best law of release is not allowed: {error}') from None
     return result

@@ -17,7 +17,7 @@ from bellows_ros.core.identification.output_error import HELD_OUT
 from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
 from bellows_ros.core.identification.result import Cause, DISTINCT, Fit, POSE_UNITS
 from bellows_ros.core.identification.validation import corner_scores, MAX_NRMSE, validate
-from bellows_ros.core.model.cup_package import Cup, gripper_of
+from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.table import PARAMETERS
@@ -54,6 +54,11 @@ SIGMAS = 3.0
 """Number of stated standard deviations beyond which an estimate is a finding of its own."""
 
 CLOCK_RATE = 'rate of the clocks (ppm)'
+
+FREE_PARAMETERS = {
+    'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
+    'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
+"""Parameter and unit of each estimated quantity of cup and package."""
 
 
 class Simulated(NamedTuple):
@@ -296,11 +301,10 @@ def _found(
         return {}
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
                                     if name != 'exposure'}
-    found = payload_of(recording.payload, free)
-    parameters = {
-        'com': ('package.com', found.com), 'length': ('cup.length', np.array([length])),
-        'inertia': ('package.inertia', found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
-        'clock_rate': (CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1)))}
+    estimates = estimates_of(recording.payload, free, length)
+    parameters = {name: (FREE_PARAMETERS[name][0], estimates[name])
+                  for name in ('com', 'length', 'inertia')}
+    parameters['clock_rate'] = CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1))
     pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
              for name in parameters if name in free and name in std}
     if max(pulls.values(), default=0.0) <= 0.5:  # standard deviations
@@ -312,6 +316,15 @@ def _found(
         changes['clock_rate'] = f'{abs(parameters["clock_rate"][1][0]):.2g} ppm'
     return {parameters[name][0]: (parameters[name][1], changes[name], pulls[name])
             for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
+
+
+def estimates_of(
+    payload: Package, free: Mapping[str, Array], length: float
+) -> Mapping[str, Array]:
+    """Return the `FREE_PARAMETERS` with the changes of a fit; the length (m) is of the fit."""
+    found = payload_of(payload, free)
+    return {'com': found.com, 'mass': np.array([found.mass]), 'length': np.array([length]),
+            'inertia': found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
 
 
 def _cup_of(theta: Array, cup: Cup, structure: Structure) -> Cup | None:

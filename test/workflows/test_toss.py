@@ -53,7 +53,7 @@ def test_finds_the_valve_of_drops(recorded):
     found = identify_release(recorded)
     assert len(found.fit.drops) == 4 and found.fit.position < 3e-4
     assert found.fit.law[0] == pytest.approx(0.015, abs=4e-3)
-    content = found.parameters()
+    content = found.fit.parameters()
     assert content['release.mass_range'] == (1.8, 1.8)
     assert resolve(VALUES.replaced(content))
     with pytest.raises(NoTopicError, match='topics.valve'):

@@ -20,7 +20,7 @@ from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic.motion import MoveAndHold, Pose, waypoints
 from bellows_ros.errors import BellowsError
 from bellows_ros.report.findings import prevents, text
-from bellows_ros.workflows.recordings import checked, remark_sentences
+from bellows_ros.workflows.recordings import checked
 from bellows_ros.workflows.replay import validated
 from bellows_ros.workflows.verdict import cause_finding, verdict_of
 import numpy as np
@@ -179,10 +179,10 @@ def test_worlds_that_are_far_apart_are_found(seed):
     """Find them from the closed form of a rigid cup, whether the lip is below the tool or not."""
     laboratory = faulty('two worlds far apart', seed)
     (found,) = remarks(laboratory.recording())
-    (text,) = remark_sentences([found])
+    said = text(found)
     degrees = np.degrees(np.linalg.norm(laboratory.apart[3:]))
-    turned = float(re.search(r'in two worlds, turned by ([\d.]+)', text)[1])
-    assert abs(turned - degrees) < 2.0 and 'Set recording.package_world: estimate' in text
+    turned = float(re.search(r'in two worlds, turned by ([\d.]+)', said)[1])
+    assert abs(turned - degrees) < 2.0 and 'Set recording.package_world: estimate' in said
 
 
 @pytest.mark.stress
