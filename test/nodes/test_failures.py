@@ -1,19 +1,43 @@
 """What must not end the node: exceptions in its callbacks, negative times, odd parameters."""
 
+import gc
+from importlib.util import find_spec
+import math
 from operator import attrgetter
+import os
+from pathlib import Path
+import sys
+import time
 
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.nodes import predictor_node
+from bellows_ros.nodes.guarding import executor_for, GuardedNode, spin
 from bellows_ros.report.health import fact, Level, Status
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
 import pytest
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from .conftest import break_always, break_once, ERROR, Listener, MS, PACKAGE, START
+from .conftest import (
+    break_always,
+    break_once,
+    ERROR,
+    Listener,
+    MS,
+    PACKAGE,
+    Peer,
+    pose_at,
+    stamp_ns,
+    START,
+)
 
 
 @pytest.fixture
@@ -129,3 +153,142 @@ def test_a_topic_that_fails_keeps_no_other_from_being_sent(broken, partner, capf
     assert predictor.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
     assert set(predictor.failures) == {topic.name}
     assert f'A callback failed at {topic.name}' in capfd.readouterr().err
+
+
+without_events = pytest.mark.skipif(
+    find_spec('rclpy.experimental') is None,
+    reason='this rclpy is older than 7.1.4: it has no executor woken by events')
+
+
+@pytest.fixture(params=[pytest.param('events', marks=without_events), 'waiting'])
+def way(request, monkeypatch):
+    """Give the name of a way to spin, and leave no other."""
+    if request.param == 'waiting':
+        monkeypatch.setitem(sys.modules, 'rclpy.experimental', None)
+    return str(request.param)
+
+
+class Closing(GuardedNode):
+    """A node that says that it has been closed."""
+
+    closed = False
+
+    def close(self):
+        """End it."""
+        self.closed = True
+        self.destroy_node()
+
+
+def test_collector_is_given_back(ros, way):
+    """Collect as before when the node has ended, however it ends."""
+    node = Closing('short', context=ros.context)
+    node.finished = Future()
+    node.finished.set_exception(ValueError('boom'))
+    with pytest.raises(ValueError, match='boom'):
+        spin(node, lambda: False)
+    assert node.closed and gc.isenabled() and gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize('of', ['the node', 'rclpy'])
+def test_an_error_in_a_callback_does_not_end_the_node(of, ros, way):
+    """Note an unforeseen error, also where the callback is none that the node has made."""
+    def fail():
+        if len(calls := [*node.failures.elements(), None]) > 3:
+            node.finished.set_result(None)
+        raise ZeroDivisionError(str(len(calls)))
+
+    node = Closing('broken', context=ros.context)
+    node.finished = Future()
+    (Node if of == 'rclpy' else GuardedNode).create_timer(node, 1e-4, fail)
+    spin(node, lambda: False)
+    assert sum(node.failures.values()) == 4 and len(node.failures) == 1
+
+
+@without_events
+def test_what_events_cannot_serve_is_waited_for(ros):
+    """Fall back where the executor woken by events refuses a node."""
+    node, called = Node('guarded', context=ros.context), []
+    guard = node.create_guard_condition(lambda: called.append(True))
+    executor = executor_for(node)
+    assert isinstance(executor, SingleThreadedExecutor) and node.executor is executor
+    guard.trigger()
+    executor.spin_once(timeout_sec=5.0)
+    assert called
+    executor.shutdown()
+    node.destroy_node()
+
+
+RATE, COUNT = 20_000, 12_000
+LARGEST_GROWTH = 1_000_000  # bytes
+KINDS = ('valid', 'valid', 'not finite', 'standing stamp', 'not readable')
+"""Kinds of floods; the first two warm up what a flood needs."""
+
+
+class Victim(Peer):
+    """A predictor in another process, and what is sent to it."""
+
+    def __init__(self, ros, process):
+        """Join the graph and wait for the other."""
+        super().__init__(ros, 'driver')
+        self.process = process
+        self._pose = pose_at(START, frame_id='base')
+        self._ns = START
+        self.answers = self.hears(PoseStamped, 'package/pose', 3 * COUNT, self._stamp)
+        self._writer = self.writes(PoseStamped, 'tool_arm/pose', 10)
+        self.connect()
+
+    @staticmethod
+    def _stamp(message):
+        """Return the stamp of an answer, which must be finite."""
+        assert math.isfinite(message.pose.position.x + message.pose.orientation.w)
+        return stamp_ns(message)
+
+    def send(self, after_ns, x=0.0):
+        """Send a pose with a stamp so much later than the last."""
+        self._ns += after_ns
+        self._pose.header.stamp.sec, self._pose.header.stamp.nanosec = divmod(self._ns, 10**9)
+        self._pose.pose.position.x = x
+        self._writer.publish(self._pose)
+
+    def flood(self, kind):
+        """Send many messages of a kind."""
+        unreadable = serialize_message(self._pose)[:-20]
+        begin = time.monotonic()
+        for k in range(COUNT):
+            if k % 100 == 0:
+                time.sleep(max(0.0, begin + k / RATE - time.monotonic()))
+            if kind == 'not readable':
+                self._writer.publish(unreadable)
+            else:
+                self.send(0 if kind == 'standing stamp' else 50_000,
+                          math.nan if kind == 'not finite' else 0.0)
+
+    def is_back(self):
+        """Send poses at 500 Hz, and tell whether each is answered from 0.2 s on."""
+        self.ros.spin_until(lambda: False, 0.3)  # what is in the queues is worked off
+        sent = []
+        for _ in range(150):
+            self.send(2 * MS)
+            sent.append(self._ns)
+            self.ros.executor.spin_once(timeout_sec=0.002)
+        expected = set(sent[100:])
+        return bool(self.ros.spin_until(lambda: expected <= set(self.answers[-200:]), 10.0))
+
+    def memory(self):
+        """Return how many bytes of memory the predictor has."""
+        pages = int(Path(f'/proc/{self.process.pid}/statm').read_text().split()[1])
+        return pages * os.sysconf('SC_PAGE_SIZE')
+
+
+def test_a_flood_neither_kills_nor_grows_nor_leaves_a_trace(ros, run_predictor):
+    """Survive each flood with the memory it had, and answer each pose afterwards."""
+    victim, memory = Victim(ros, run_predictor()), []
+    for kind in KINDS:
+        victim.flood(kind)
+        assert victim.process.poll() is None, kind
+        assert any(victim.is_back() for _ in range(3)), kind  # messages are best effort
+        memory.append(victim.memory())
+    assert max(memory[2:]) - memory[1] < LARGEST_GROWTH, memory
+    victim.process.terminate()
+    _, log = victim.process.communicate(timeout=200)
+    assert victim.process.returncode == 0 and 'Traceback' not in log, log

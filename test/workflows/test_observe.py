@@ -7,8 +7,10 @@ from bellows_ros.files.bags import as_messages, Encoded, read_streams, write_bag
 from bellows_ros.files.messages import BOOL
 from bellows_ros.workflows.replay import replay
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
+from .test_identify import CLEAN, LAB
 from ..files.recordings import header, POSE, serialized, TWIST
 
 NOISE = 2e-3, 1e-2
@@ -169,3 +171,20 @@ def test_several_packages_of_one_recording_are_predicted_while_held(filmed, tmp_
     assert found.observed.counts['not_held'] > 50
     at = 1e-9 * (found.live.stamps_ns - stamps[0])
     assert not np.any((at > 5.2) & (at < 6.9)) and at.min() > 0.9 and at.max() > 8.0
+
+
+def test_clean_recording_with_the_true_cup(rig):
+    result = replay(rig / 'clean', CLEAN)  # the defaults are the rig's cup
+    assert np.all(result.validation.scores.nrmse < 1e-5)
+    assert result.live.counts['predictions'] == result.live.counts['poses'] == 7201
+    assert result.live.counts['twists estimated'] == 0
+    assert np.all(result.live.scores.largest[:3] < 0.2e-6)
+    assert np.all(result.live.scores.largest[3:] < 3e-6)
+
+
+def test_residuals_at_the_truth_are_noise(rig):
+    """Find the error of the true cup explained by the noise."""
+    truth = np.load(rig / 'lab_validation_truth.npz')
+    true_cup = {'cup.stiffness': truth['K'].ravel(), 'cup.damping': truth['P'].ravel()}
+    found = replay(rig / 'lab_validation', {**LAB, **true_cup}).validation
+    assert_allclose(found.scores.rms, found.noise, rtol=0.1)

@@ -29,8 +29,8 @@ MARGIN = 0.25
 TOLERANCE = 1e-6
 """Accuracy of the best release time, s."""
 
-CANDIDATES = 8
-"""Number of the best times in the scan that are refined."""
+SCAN, REFINED = 4e-3, 3
+"""Step of the scan for the best release time, s, and number of its minima that are refined."""
 
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % in a plane, standard deviations."""
@@ -150,8 +150,7 @@ class Aim(NamedTuple):
 
 
 def aim(
-    held: HeldMotion, release: Release, target: tuple[float, float], rotation: Array | None = None,
-    until: float = math.inf, scan: float = 4e-3, candidates: int = CANDIDATES,
+    held: HeldMotion, release: Release, target: tuple[float, float], rotation: Array | None = None
 ) -> Aim:
     """
     Return the time of the valve with which the package lands nearest to a target.
@@ -166,10 +165,6 @@ def aim(
         Position of B at landing, in the world, m.
     rotation : array (3, 3), optional
         Wanted R_world_package at landing; its error counts as the shift of the farthest corner.
-    until : float
-        Latest time, s; default: the plan's end.
-    scan, candidates : float, int
-        Step (s) of the scan, and number of the best times that are refined.
 
     Raises
     ------
@@ -193,22 +188,17 @@ def aim(
         return float(np.nan_to_num(np.linalg.norm(miss(switched)), nan=1e6, posinf=1e6))
 
     lost_time = held.lost_before(held.duration)
-    last = min(held.duration if lost_time is None else lost_time, until)
-    times = np.linspace(0.0, last, max(2, math.ceil(last / scan) + 1))
-    ends = np.array([miss(t) for t in times])
-    step = np.diff(ends, axis=0)
-    squared = np.maximum(np.einsum('ni,ni->n', step, step), 1e-30)
-    along = np.clip(-np.einsum('ni,ni->n', ends[:-1], step) / squared, 0.0, 1.0)
-    distances = np.nan_to_num(
-        np.linalg.norm(ends[:-1] + along[:, None] * step, axis=1), nan=np.inf)
+    last = held.duration if lost_time is None else lost_time
+    times = np.linspace(0.0, last, max(2, math.ceil(last / SCAN) + 1))
+    costs = [cost(t) for t in times]
+    minima = [k for k in range(len(times)) if costs[k] <= min(costs[max(k - 1, 0):k + 2])]
     tried = []
-    for k in np.argsort(distances)[:candidates]:
-        if distances[k] <= 1.5 * distances.min() + 1e-3:
-            best = scipy.optimize.minimize_scalar(
-                cost, bounds=(times[k], times[k + 1]), method='bounded',
-                options={'xatol': TOLERANCE})
-            tried += [(cost(t), float(t)) for t in (best.x, times[k], times[k + 1])]
-    size, switched = min(tried, default=(1e6, 0.0))
+    for k in sorted(minima, key=costs.__getitem__)[:REFINED]:
+        ends = times[max(k - 1, 0)], times[min(k + 1, len(times) - 1)]
+        best = float(scipy.optimize.minimize_scalar(
+            cost, bounds=ends, method='bounded', options={'xatol': TOLERANCE}).x)
+        tried += [(cost(best), best), (costs[k], float(times[k]))]
+    size, switched = min(tried)
     if size >= 1e6:
         raise NoReleaseError(
             'No release during the plan leads to a landing. Check landing.height, release.*, and '

@@ -27,6 +27,7 @@ from bellows_ros.core.model.grip import Grip, largest_peel_load, Law, Release
 from bellows_ros.core.model.kernels import ModelTuple, State, ToolSegment
 from bellows_ros.core.model.simulation import body_row, row_state, ToolRows, write_row
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
+from bellows_ros.core.planning.points import body_twists, curve_of
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.toss import free_flight
 from bellows_ros.errors import NoLandingError
@@ -319,7 +320,8 @@ class HeldMotion:
                 stamps_ns, stamps_ns[-1] + round(MAX_RELEASE_WAIT * NS_PER_S))
         times = (stamps_ns - stamps_ns[0]) / NS_PER_S
         count = min(max(2, int(np.searchsorted(times, until)) + 1), len(times))
-        run = PlanSimulation(model, grip, ToolRows(stamps_ns[:count], rows[:count]), tail=0.0)
+        self._plan = ToolRows(stamps_ns[:count], rows[:count])
+        run = PlanSimulation(model, grip, self._plan, tail=0.0)
         run.states()
         self.times, self.tools, self.states = times[:count], rows[:count], run.samples[0]
         self.start, self._longest, self._is_lost = (
@@ -329,34 +331,22 @@ class HeldMotion:
     def find_release(self, release: Release, switched: float) -> tuple[float, State, float, State]:
         """Return the result of `toss_along` for a valve switched at a time (s)."""
         times, tools, states = self._inputs
-        i = self._point_at(switched)
+        i = max(0, int(np.searchsorted(times, switched, 'right')) - 1)
         return toss_along(
             (self.model, self.grip, release, switched), times[i], row_state(tools[i]),
             body_row(states[i], self.start),
             (tools[i + 1:], times[i + 1:], times[-1], self._longest))
 
-    def _point_at(self, time: float) -> int:
-        """Return the index of the last point at or before a time (s)."""
-        return max(0, int(np.searchsorted(self.times, time, 'right')) - 1)
-
     def along(self, release: Release, switched: float, seconds: Array) -> tuple[Array, Array]:
         """
         Return tool and package (N, 13) at increasing times (s) from 0 on, held, released, flying.
 
-        After the plan the tool continues straight.
+        After the plan the tool keeps its last pose.
         """
-        times, tools, _ = self._inputs
-        rows, out = np.empty((2, len(seconds), 13))
-        for k, time in enumerate(seconds.tolist()):
-            j = self._point_at(time)
-            tool, since = row_state(tools[j]), time - float(times[j])
-            if since > 0.0 and j + 1 < len(times):
-                duration = float(times[j + 1] - times[j])
-                segment = kernels.tool_segment(tool, row_state(tools[j + 1]), duration)
-                tool = kernels.tool_at(segment, since / duration)
-            elif since > 0.0:
-                tool = kernels.extrapolated(tool, since)
-            write_row(rows[k], tool)
+        curve, at = curve_of(self._plan.trajectory()), np.clip(seconds, 0.0, self.times[-1])
+        values, out = curve(at), np.empty((len(seconds), 13))
+        rows = np.hstack([values, body_twists(values[:, 3:], curve(at, 1))[1]])
+        rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=1)[:, None]
         write_toss((self.model, self.grip, release, switched), self.start, rows, seconds,
                    self._longest, out)
         return rows, out

@@ -165,6 +165,7 @@ def test_a_replay_names_clocks_that_are_apart():
     assert named == [False, True]
 
 
+@pytest.mark.stress
 def test_a_fit_to_a_wrong_recording_is_bounded_and_ends_with_its_cause(monkeypatch):
     simulations, evaluated = [], estimate.evaluated  # two at most for each step
     monkeypatch.setattr(

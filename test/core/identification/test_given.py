@@ -159,7 +159,7 @@ def test_a_com_far_off_is_no_slip_soon_after_the_beginning():
     assert_allclose(com.theta, [-0.015, 0.0, 0.0], atol=1e-3)
 
 
-@pytest.mark.parametrize('sensor', [{}, CAPTURED])
+@pytest.mark.parametrize('sensor', [{}, pytest.param(CAPTURED, marks=pytest.mark.stress)])
 def test_a_world_that_is_not_level_is_named(sensor):
     """Of both bodies, so that gravity is not along its z; a constant force would look alike."""
     own = measured(3, tool_hz=100.0, **sensor)
@@ -186,7 +186,8 @@ def test_a_world_that_lets_no_search_converge_is_named():
     assert_allclose(cause.theta[3:], [0.0, -0.026, 0.0], atol=2e-3)
 
 
-@pytest.mark.parametrize('seed', [2, pytest.param(1, marks=pytest.mark.stress)])
+@pytest.mark.stress
+@pytest.mark.parametrize('seed', [1, 2])
 def test_a_centre_of_stiffness_on_the_axis_is_no_length_and_com_that_are_wrong(seed):
     """12 mm below the tip, which a length and a centre of mass 23 mm off would explain, too."""
     shift = np.eye(6)

@@ -72,6 +72,7 @@ def z_of(fit):
     return (fit.parameters - NUMBERS) / np.sqrt(np.diag(fit.covariance))
 
 
+@pytest.mark.stress
 def test_held_out_parameters_are_nearly_those_of_the_first_four_fifths():
     """Of a cup that becomes softer by 3 % before the last fifth."""
     own, softer = (measured(23, package_noise=CAPTURE, package_hz=100.0, duration=10.0, cup=cup)

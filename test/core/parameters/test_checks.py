@@ -1,13 +1,15 @@
 """The parameter table, nested settings, and the refusal of wrong values."""
 
 from array import array
+import pickle
 import re
 
 from bellows_ros.core.model.structure import inertia_matrix, matrix
 from bellows_ros.core.parameters import checks
-from bellows_ros.core.parameters.checks import Settings
+from bellows_ros.core.parameters.checks import resolve, Settings
 from bellows_ros.core.parameters.table import lookup, PARAMETERS
-from bellows_ros.errors import BellowsError
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.errors import BellowsError, NotSetError
 from bellows_ros.files.safe_yaml import load
 from hypothesis import given
 from hypothesis import strategies as st
@@ -265,3 +267,27 @@ def test_an_error_begins_with_the_file_and_the_line(tmp_path, read, line):
     with pytest.raises(BellowsError) as caught:
         read(Settings(load(file)))
     assert str(caught.value).startswith(f'{file}, line {line}: ')
+
+
+VALUES = resolve({'package.mass': 1.8, 'cup.name': 'soft', 'cups.soft.length': 0.04})
+
+
+def test_every_name_is_an_attribute():
+    for name, value in VALUES.items():
+        found = VALUES
+        for part in name.split('.'):
+            found = getattr(found, part)
+        assert found == value
+    assert set(VALUES) <= {*PARAMETERS, 'cups.soft.length'}
+
+
+def test_a_parameter_without_a_value_names_itself():
+    with pytest.raises(NotSetError, match=r"'package\.inertia' is not set"):
+        VALUES.package.inertia  # noqa: B018
+    assert 'package.inertia' not in VALUES
+
+
+def test_values_reach_other_processes():
+    copy = pickle.loads(pickle.dumps(VALUES))
+    assert copy == VALUES and copy.cups.soft.length == VALUES.cups.soft.length
+    assert isinstance(copy, Values)

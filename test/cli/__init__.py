@@ -1,1 +1,0 @@
-"""Tests of the command `bellows`, driven as a user does."""

@@ -1,0 +1,266 @@
+"""The commands plan, toss, parameters, info and replay: what they print and write."""
+
+import json
+from pathlib import Path
+import re
+
+from bellows_ros.core.parameters.checks import RECORDING_PARAMETERS, resolve
+from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.signals.residuals import AXES
+from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.parameter_files import read_parameters
+import numpy as np
+import pytest
+
+from .conftest import contents, KNOWN
+from ..files.test_detections import calibration, detections, recorded, views
+
+GRIP = ('--set', 'cup.lip_radius=0.025', '--set', 'vacuum.holding=60000',
+        '--set', 'package.mass_std=0.01')
+
+
+def test_says_writes_and_draws(bellows, succeed, workshop, transport, tmp_path):
+    """Say in words what stands in the JSON; write picture and recording."""
+    done = succeed(
+        'plan', transport, '--params', workshop / 'cup.yaml', *GRIP, '--fastest', '--json',
+        'plan.json', '--plot', 'plan.png', '--out', 'predicted', cwd=tmp_path)
+    found = json.loads((tmp_path / 'plan.json').read_text())
+    for name in ('smallest_safety_factor', 'peak_bending', 'peak_deflection', 'peak_force',
+                 'peak_moment', 'rigid_peak_moment', 'swing_left', 'settled_after', 'duration',
+                 'smallest_safety_time', 'fastest_scale'):
+        assert found[name] > 0.0 and found[f'{name}_std'] >= 0.0, name
+    assert found['smallest_safety_mode'] == 'peel' and found['outside_validity'] == []
+    assert f'{found["smallest_safety_factor"]:.2f}' in done.stdout
+    assert 'shortest safe time' in done.stdout and 'Wrote predicted.' in done.stdout
+    assert (tmp_path / 'plan.png').read_bytes().startswith(b'\x89PNG')
+    assert {t.name for t in topics(tmp_path / 'predicted')} >= {
+        '/tool_arm/plan', '/package/plan', '/package/plan_path', '/package/pose'}
+    before = contents(tmp_path)
+    done = bellows('plan', transport, '--params', workshop / 'cup.yaml', '--out', 'predicted',
+                   '--json', 'other.json', cwd=tmp_path)
+    assert done.returncode == 2 and '--force' in done.stderr
+    assert contents(tmp_path) == before
+
+
+def test_a_cup_that_lets_go_is_a_no(bellows, workshop, transport):
+    """End with 1; never say that the grip holds where the data are doubtful."""
+    line = ('plan', transport, '--params', workshop / 'cup.yaml', '--set', 'cup.lip_radius=0.03')
+    weak = bellows(*line, '--set', 'vacuum.holding=15000')
+    assert weak.returncode == 1 and 'lets go' in ' '.join(weak.stderr.split())
+    above = bellows(*line, '--set', 'vacuum.holding=60000', '--set', 'package.com=0,0,0.03')
+    assert 'above the lip' in ' '.join(above.stderr.split())
+    assert 'The grip holds' not in above.stdout
+
+
+BAGS = Path(__file__).parents[2] / 'bags'
+PLAN, PARAMS = BAGS / 'throw.yaml', BAGS / 'tossing.yaml'
+
+
+def test_toss_prints_landing_and_largest_contribution(succeed, tmp_path):
+    """Give the names of the JSON, a picture, and the advice."""
+    file, picture = tmp_path / 'toss.json', tmp_path / 'toss.png'
+    done = succeed(
+        'toss', PLAN, '--params', PARAMS, '--release', 3.0, '--json', file, '--plot', picture)
+    found = json.loads(file.read_text())
+    assert set(found) >= {
+        'release_time', 'release_mode', 'release_pose', 'release_twist', 'landing_time',
+        'landing_position', 'landing_rotation', 'landing_covariance', 'tumbling', 'budget',
+        'drawn', 'failed', 'plan', 'version', 'provenance'}
+    assert found['release_mode'] == 'peel'
+    assert 3.012 < found['release_time'] < found['landing_time'] < 4.0
+    assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
+    assert 'Reduce first: release,' in done.stdout
+    assert picture.stat().st_size > 20_000
+
+
+def test_writes_the_toss_as_a_recording(bellows, tmp_path):
+    """Held, parting and flying: the package leaves the cup, and falls to where it lands."""
+    bag = tmp_path / 'thrown'
+    done = bellows('toss', PLAN, '--params', PARAMS, '--release', 3.0, '--out', bag, '--json', '-')
+    found = json.loads(done.stdout)
+    poses = read_streams(bag, {'package_pose': '/package/pose'})['package_pose']
+    seconds = (poses.stamps_ns - poses.stamps_ns[0]) * 1e-9
+    assert seconds[-1] == pytest.approx(found['landing_time'], abs=2.1e-3)
+    speed = np.linalg.norm(found['landing_twist'][:3])
+    miss = np.linalg.norm(poses.position[-1] - found['landing_position'])
+    assert miss < 2.1e-3 * speed
+    at = np.searchsorted(seconds, found['release_time'])
+    np.testing.assert_allclose(poses.position[at], found['release_pose'][:3], atol=6e-3)
+
+
+def test_finds_the_time_for_a_target(bellows):
+    """Land where a known time lands, and say what that gains over the time that is given."""
+    known = json.loads(bellows(
+        'toss', PLAN, '--params', PARAMS, '--release', 3.1, '--json', '-').stdout)
+    x, y, _ = known['landing_position']
+    done = bellows(
+        'toss', PLAN, '--params', PARAMS, '--release', 3.0, '--target', x, y, '--json', '-',
+        '--target-rotation', *known['landing_rotation'])
+    found = json.loads(done.stdout)
+    assert found['valve_time'] == pytest.approx(3.1, abs=1e-4)
+    assert found['target']['distance'] < 1e-4 < found['target']['distance_as_asked']
+    assert 'away, instead of' in done.stderr
+    assert 'lands at the target' not in done.stderr
+    far = bellows('toss', PLAN, '--params', PARAMS, '--target', 100.0, 0.0)
+    assert far.returncode == 1
+    assert 'No release of this plan lands at the target' in ' '.join(far.stderr.split())
+
+
+def test_names_choose(bellows):
+    """Show only those whose names begin as asked for."""
+    done = bellows('parameters', 'vacuum.t', 'gravity')
+    names = [line for line in done.stdout.splitlines() if not line.startswith(' ')]
+    assert names == ['gravity.magnitude', 'gravity.direction', 'vacuum.thresholds']
+
+
+def test_the_template_is_a_parameter_file_to_fill_in(bellows, tmp_path):
+    """Read the defaults; then make it complete by removing the comment signs, as it says."""
+    file = tmp_path / 'all.yaml'
+    names = ('bags', *RECORDING_PARAMETERS)
+    text = bellows('parameters', '--yaml').stdout
+    file.write_text(text)
+    assert read_parameters(file) == {
+        p.name: p.default for p in PARAMETERS.values() if p.default not in (None, ())
+    }
+    for name in names:
+        assert f'    #{name}: ' in text
+        text = text.replace(f'    #{name}: ', f'    {name}: ')
+    file.write_text(text)
+    assert list(resolve(read_parameters(file), names)) == list(PARAMETERS)
+
+
+def test_the_table_is_there_as_json(bellows):
+    """Give scripts unit, default and constraint."""
+    content = json.loads(bellows('parameters', 'package', '--json', '-').stdout)
+    assert content['package.mass']['unit'] == 'kg' and content['package.mass']['default'] is None
+
+
+def test_a_cup_is_written_for_mujoco(bellows, workshop, tmp_path):
+    """Write the model of a cup and its package; name what a cup has that joints lack."""
+    command = 'parameters', '--params', 'cup.yaml', '--mjcf', tmp_path / 'cup.xml'
+    assert bellows(*command, cwd=workshop).stderr == ''
+    assert (tmp_path / 'cup.xml').read_text().endswith('</mujoco>\n')
+    done = bellows(*command, '--set', 'cup.relaxation=[0.2,0.1]', cwd=workshop)
+    assert (done.returncode, 'lacks cup.relaxation' in done.stderr) == (0, True)
+
+
+def test_it_says_the_noise_and_which_axis_is_up(bellows, root):
+    """Print what the choice of a method and of recording.world asks for; truth from the motion."""
+    done = bellows('info', root / 'bags' / 'identification')
+    found = re.search(r'/package/pose: noise of (.+) mm, (.+) deg', done.stdout)
+    assert found, done.stdout
+    for size, axes in zip((0.1, 0.0286), found.groups(), strict=True):
+        assert [float(x) for x in axes.split()] == pytest.approx([size] * 3, rel=0.03)
+    assert 'World    probably z up (recording.world: z_up).' in done.stdout
+
+
+def test_the_parameter_file_serves_once_the_package_is_filled_in(
+        bellows, succeed, workshop, tmp_path):
+    """Lead from a recording to a cup without writing a topic's name."""
+    file = tmp_path / 'my_cell.yaml'
+    done = succeed('info', 'recording', '--write-params', file, cwd=workshop)
+    assert f'--params {file}' in done.stdout
+    again = ('info', 'recording', '--write-params', tmp_path / 'mine.yaml')
+    (tmp_path / 'mine.yaml').write_text('filled in by hand')
+    refused = bellows(*again, cwd=workshop)
+    assert refused.returncode == 2 and '--force' in refused.stderr
+    assert (tmp_path / 'mine.yaml').read_text() == 'filled in by hand'
+    succeed(*again, '--force', cwd=workshop)
+    assert (tmp_path / 'mine.yaml').read_text() == file.read_text()
+    refused = bellows('identify', '--params', file, cwd=workshop)
+    assert refused.returncode == 2 and 'package.mass' in refused.stderr
+
+    file.write_text(re.sub(
+        r'#((?:package|cup\.length|recording\.package_frame)[.\w]*): .*',
+        lambda found: f'{found[1]}: {json.dumps(KNOWN[found[1]])}', file.read_text()))
+    done = succeed('identify', '--params', file, '--set', 'fit.method=least_squares', '--out',
+                   tmp_path / 'cup.yaml', cwd=workshop)
+    assert read_parameters(tmp_path / 'cup.yaml')['cup.length'] == 0.046
+    assert read_parameters(file)['topics.tool_pose'] == '/tool_arm/pose'
+
+
+def test_a_parameter_of_its_advice_may_be_set(bellows, succeed, tmp_path):
+    """Ask for the number of one of two tags, take it, and write it into the file."""
+    path, file = tmp_path / 'b', tmp_path / 'cell.yaml'
+    recorded(path, detections(views()[2] * 900.0 + 600.0, (3, 7)), calibration('plumb_bob', ()))
+    assert '/detections cannot be used' in bellows('info', path).stdout
+    (tmp_path / 'size.yaml').write_text('measured.tag_size: 0.06')
+    done = succeed('info', path, '--params', tmp_path / 'size.yaml', '--set',
+                   'measured.child_frame=36h11:7', '--write-params', file)
+    assert 'cannot be used' not in done.stdout
+    assert read_parameters(file)['measured.child_frame'] == '36h11:7'
+
+
+def test_a_part_of_a_recording_is_looked_at(succeed, workshop, tmp_path):
+    """Describe what lies between --from and --to, and write them down."""
+    out = tmp_path / 'cell.yaml'
+    span = ('--from', '1', '--to', '2.5')
+    done = succeed('info', 'recording', *span, '--json', '-', '--write-params', str(out),
+                   cwd=workshop)
+    found = json.loads(done.stdout)
+    assert all(1.4 < topic['duration_s'] <= 1.5 for topic in found['topics'] if topic['kind'])
+    written = read_parameters(out)
+    assert (written['recording.start'], written['recording.end']) == (1.0, 2.5)
+
+
+NOISE = {'mm': 0.02, 'deg': 0.0057}  # of the package's poses in the recording
+
+
+@pytest.fixture(scope='module')
+def replayed(predictor_kernels, quietly, workshop, tmp_path_factory):
+    """Replay once with the true cup; give the summary and the JSON."""
+    file = tmp_path_factory.mktemp('replayed') / 'replay.json'
+    done = quietly('replay', 'recording', '--params', 'cup.yaml', '--json', file, cwd=workshop)
+    return done.stdout, json.loads(file.read_text())
+
+
+def test_the_true_cup_predicts_to_the_noise(replayed):
+    """Print errors per axis, with units, that are little more than the noise."""
+    rows = [line.split() for line in replayed[0].splitlines()]
+    errors = {row[0]: row[1:] for row in rows if row and row[0] in AXES}
+    assert len(errors) == 6
+    for axis, (unit, rms, live, of_noise, peak, percent, sign) in errors.items():
+        assert (unit, sign[0]) == ('deg' if axis.startswith('r') else 'mm', '%')
+        noise = NOISE[unit]
+        # that of the tool's poses, to whose axes the package is taken, comes on top
+        assert 0.5 * noise < float(rms) < 2.0 * noise
+        assert float(rms) < float(peak) and float(percent) > 0.0
+        assert 0.9 * float(rms) < float(live) < 1.1 * float(rms)
+        assert 0.5 * noise < float(of_noise) < 2.0 * noise
+
+
+def test_a_wrong_cup_exits_with_1(bellows, workshop):
+    """Tell scripts; also without a limit, where it is several times worse than noise."""
+    arguments = ('replay', 'recording', '--params', 'package.yaml')
+    done = bellows(*arguments, '--limit', '5', cwd=workshop)
+    assert done.returncode == 1
+    assert '5 %' in done.stdout and 'cup.stiffness' in done.stderr
+    assert bellows(*arguments, cwd=workshop).returncode == 1
+
+
+def test_a_time_offset_is_printed_and_json_and_page_are_written(succeed, workshop, tmp_path):
+    """Say what was taken from the tool's stamps, on the screen and the page; JSON on stdout."""
+    page = tmp_path / 'page.html'
+    done = succeed('replay', 'recording', '--params', 'cup.yaml', '--set',
+                   'fit.free=[time_offset]', '--report', page, '--json', '-', cwd=workshop)
+    for text in (done.stderr, page.read_text()):
+        assert re.search(
+            r'recording: a \w+ stamp is 0\.0\d\d ms .* later than the \w+ stamp', text)
+    content = json.loads(done.stdout)
+    assert content['provenance']['parameter_files'][0]['path'] == 'cup.yaml'
+    assert page.read_text().startswith('<!DOCTYPE html>')
+
+
+@pytest.mark.parametrize(('changes', 'named', 'code'), [
+    (('package.mass=3.6',), r'package.mass.* 1\.[789] kg', 1),
+    (('package.mass=180.0',), r' 1\.[789] kg.* package.mass', 2),
+    (('topics.tool_pose=/package/pose', 'topics.package_pose=/tool_arm/pose',
+      'topics.tool_twist='), '^bellows: The topics are exchanged', 2),
+    (('topics.package_pose=/tool_arm/pose',), '^bellows: The package does not swing', 2),
+])
+def test_a_bad_prediction_is_a_no_and_names_its_cause(changes, named, code, bellows, workshop):
+    """End with 1 where errors are several times those of noise, 2 where data cannot be used."""
+    done = bellows('replay', 'recording', '--params', 'cup.yaml',
+                   *(part for change in changes for part in ('--set', change)), cwd=workshop)
+    assert done.returncode == code
+    assert re.search(named, ' '.join(done.stderr.split()))

@@ -1,1 +1,0 @@
-"""Tests of bellows_ros.nodes."""
