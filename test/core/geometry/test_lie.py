@@ -4,7 +4,6 @@ from fractions import Fraction
 from math import factorial, pi
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.pose_distance import pose_distances
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -138,13 +137,3 @@ def test_adjoint_is_a_homomorphism():
     T_a_b, T_b_c = random_poses(50, 12), random_poses(50, 13)
     product = lie.adjoint(T_a_b) @ lie.adjoint(T_b_c)
     assert_allclose(lie.adjoint(T_a_b @ T_b_c), product, atol=1e-14)
-
-
-TOLERANCE = 0.02, 0.2
-
-
-@pytest.mark.parametrize('axis', range(6))
-def test_the_same_number_of_tolerances_is_as_far_along_each_axis(axis):
-    differences = np.zeros((2, 1, 3))
-    differences[axis // 3, 0, axis % 3] = -3.0 * TOLERANCE[axis // 3]
-    assert_allclose(pose_distances(differences, np.array([TOLERANCE]).T), 3.0, rtol=1e-14)
