@@ -192,7 +192,7 @@ class FitVerdict(NamedTuple):
         if self.causing[0].certain:
             return (first,)
         likely = [each for each in self.causing if each.name != 'unknown']
-        is_sound = not self.contradicted and (
+        is_sound = not self.contradicted and not self.wrong and (
             self.is_at_noise or self.simulated and not self.refusals and not (
                 likely and likely[0].share >= DISTINCT or self._is_misfit))
         if is_sound:
@@ -390,7 +390,7 @@ Differing = tuple[str, str, str]
 def cause_finding(cause: Cause, given: Given) -> Finding:
     """Return a cause with its size, its share of the misfit, and given values corrected by it."""
     is_part = cause.name != 'unknown' and cause.share > 0.0
-    share = f' It explains {100.0 * cause.share:.2g} % of the misfit.' if is_part else ''
+    share = f' It explains {100.0 * cause.share:.0f} % of the misfit.' if is_part else ''
     if cause.name in ('com', 'length') and cause.instead:
         return Finding('length', Level.WARN, {'offset': abs(float(cause.theta[-1]))})
     if cause.name in DIFFERING:
