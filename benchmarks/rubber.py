@@ -14,9 +14,9 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, quaternion_to_rotation
 from bellows_ros.core.geometry.tuples import add, add_scaled, apply, rotation_matrix, scale
-from bellows_ros.core.identification.methods import fit
-from bellows_ros.core.identification.quantities import payload_of
+from bellows_ros.core.identification.fitting import fit
 from bellows_ros.core.identification.result import Fit
+from bellows_ros.core.identification.unknowns import payload_of
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, static_equilibrium

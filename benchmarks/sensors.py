@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.quantities import weak_prior
+from bellows_ros.core.identification.fitting import output_error
 from bellows_ros.core.identification.residuals import evaluated
 from bellows_ros.core.identification.segments import MeasuredSegment, Segment
-from bellows_ros.core.identification.unknowns import Problem
+from bellows_ros.core.identification.unknowns import Problem, weak_prior
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import Structure, structure_named

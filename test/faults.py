@@ -7,7 +7,7 @@ one (certain or not), or nothing; where nothing is refused, K is compared with t
 """
 
 from bellows_ros.core.findings import Level
-from bellows_ros.core.identification.methods import fit
+from bellows_ros.core.identification.fitting import fit
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.errors import BellowsError

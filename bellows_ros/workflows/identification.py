@@ -10,9 +10,9 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import samples
-from bellows_ros.core.identification.quantities import as_found, KINDS
+from bellows_ros.core.identification.pool import ReducedRecording
 from bellows_ros.core.identification.result import Fit, parameter_units
+from bellows_ros.core.identification.unknowns import as_found, KINDS
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
@@ -86,7 +86,7 @@ class Identification(CommandResult):
 
     fit: Fit
     values: Values
-    parts: tuple[samples.ReducedRecording, ...]
+    parts: tuple[ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
     static: StaticResult | None = None
     validations: tuple['Replay', ...] = ()
@@ -227,8 +227,7 @@ class Identification(CommandResult):
             conversion.package_of(self.values))
         estimates = estimates_of(
             payload, free, self.cup_length + float(np.sum(free.get('length', 0.0))))
-        of_package = {freed.name: np.array(freed.std) for freed in self.fit.freed} | {
-            name: rows[0] for name, rows in self.fit.nuisances_std.items()}
+        of_package = {name: rows[0] for name, rows in self.fit.nuisances_std.items()}
         for name, (parameter, unit) in FREE_PARAMETERS.items():
             if name not in of_package:
                 continue
@@ -244,8 +243,7 @@ class Identification(CommandResult):
     @property
     def _com_change(self) -> Array:
         """Change (3,) of the given centre of mass by the fit, m."""
-        freed = [np.array(each.change) for each in self.fit.freed if each.name == 'com']
-        return np.asarray(sum(freed, self.fit.nuisances.get('com', np.zeros((1, 3)))[0]))
+        return np.asarray(self.fit.nuisances.get('com', np.zeros((1, 3)))[0])
 
     def _final_world(self, number: int) -> PackageWorld | None:
         """Return the estimated pose of the package's world after the fit, or None."""
@@ -293,8 +291,8 @@ class Identification(CommandResult):
             yield 'measured.exposure', (exposure, (
                 tag.exposure or usual) * std.get('exposure', np.ones(1))[0], 's')
         delay, delay_std = (float(each.get('time_offset', (0.0,))[0]) for each in (free, std))
-        if number < len(self.fit.delays):
-            delay, delay_std = self.fit.delays[number], self.fit.delays_std[number]
+        if self.delays:
+            delay, delay_std = self.delays[number]
         if delay and abs(delay) < 0.5 and math.isfinite(delay_std):  # s
             yield 'measured.latency', (
                 [is_measured(self.values) * self.values.measured.latency[0] - delay, min(
@@ -321,8 +319,8 @@ class Identification(CommandResult):
 
     def _freed_values(self) -> Iterator[Finding]:
         """Yield findings on the parameters estimated by fit.free, lengths in mm."""
-        for freed in self.fit.freed if self.found else ():
-            name = FREE_PARAMETERS[freed.name][0]
+        for freed in FREE_PARAMETERS.keys() & {*self.fit.named} if self.found else ():
+            name = FREE_PARAMETERS[freed][0]
             value, std, unit = self.found[name]
             factor = 1e3 if unit == 'm' else 1.0
             numbers = ', '.join(
@@ -332,10 +330,19 @@ class Identification(CommandResult):
             yield Finding('estimated', Level.OK, {
                 'bag': '', 'values': f'{numbers} {"mm" if unit == "m" else unit}'}, name)
 
+    @cached_property
+    def delays(self) -> tuple[TimeOffset, ...]:
+        """Delays of each recording's tool stamps behind the package's, if requested, in total."""
+        before = [part.time_offset or TimeOffset(0.0, math.inf) for part in self.parts]
+        if 'time_offset' not in {*self.values.fit.free} & self.fit.nuisances.keys():
+            return tuple(before) if 'time_offset' in self.values.fit.free else ()
+        return tuple(TimeOffset(offset.value + value, std) for offset, value, std in zip(before, *(
+            each['time_offset'][:, 0].tolist() for each in (
+                self.fit.nuisances, self.fit.nuisances_std)), strict=True))
+
     def _clocks(self) -> Iterator[Finding]:
         """Yield findings on the clocks of the recordings."""
-        offsets = map(TimeOffset, self.fit.delays, self.fit.delays_std)
-        for bag, offset in zip(self.bags, offsets, strict=False):
+        for bag, offset in zip(self.bags, self.delays, strict=False):
             yield from offset_finding(bag, offset)
 
     def _fit_warnings(self) -> tuple[str, ...]:
@@ -366,10 +373,12 @@ class Identification(CommandResult):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        recordings: list[samples.ReducedRecording | Recording] = [
+        recordings: list[ReducedRecording | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
         return results.with_units({
             **fit_json(self.fit),
+            'time_offsets': [offset.value for offset in self.delays],
+            'time_offsets_std': [offset.std for offset in self.delays],
             'warnings': self.warnings,
             'findings': [*map(entry, self._findings())],
             'notes': self.notes,
@@ -475,7 +484,7 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         **results.attributes(
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
             'relaxation', 'relaxation_std', 'stretch', 'stretch_std', 'samples_used',
-            'samples_rejected', 'condition_number', 'usable', 'weight', 'residual_rms',
+            'samples_rejected', 'condition_number', 'usable', 'residual_rms',
             'chi2', 'robust_chi2', 'converged'),
         'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
         'intervals_95': {
@@ -486,15 +495,9 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             'labels': fit.labels, 'covariance': fit.covariance,
             'covariance_from_given': fit.from_given,
             'units': dict.fromkeys(('covariance', 'covariance_from_given'), _products(units))},
-        'time_offsets': fit.delays,
-        'time_offsets_std': fit.delays_std,
-        'iterations': [results.attributes(iteration, 'chi2', 'stiffness', 'damping')
-                       for iteration in fit.iterations],
         'with_standstills': fit.standstills and {
             'standstills': fit.standstills[0], 'chi2': fit.standstills[1]},
-        'units': {
-            'weight': _products([f'1/({unit})' for unit in fit.residual_units]),
-            'residual_rms': fit.residual_units}}
+        'units': {'residual_rms': fit.residual_units}}
 
 
 def _products(units: Any) -> list[list[str]]:

@@ -17,18 +17,18 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core import configure_process, usable_cores
-from bellows_ros.core.identification import methods
-from bellows_ros.core.identification.pool import Held, here, Pool
-from bellows_ros.core.identification.quantities import as_found, payload_of
-from bellows_ros.core.identification.samples import (
+from bellows_ros.core.identification import fitting
+from bellows_ros.core.identification.pool import (
     AnyRecording,
+    Held,
+    here,
+    Pool,
     reduced,
     whole_recordings,
 )
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, install, require_pictures
 from bellows_ros.workflows import identification
@@ -36,7 +36,6 @@ from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult
 from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
-import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
     from bellows_ros.workflows.replay import Replay
@@ -191,7 +190,7 @@ def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
 def read_part(
     keep: Container[str], poses: Mapping[str, Poses], number: int, bag: str, path: str,
     values: Values,
-) -> tuple[methods.Pair, AnyRecording]:
+) -> tuple[fitting.Pair, AnyRecording]:
     """
     Read and reduce a recording; return the reduced recording for a fit, and the recording if kept.
 
@@ -221,13 +220,13 @@ def read_part(
     else:
         recording = reading.load(path, values, name=bag, held=True)
     recording = reading.checked(recording, values.cup.length)
-    part, pair = reduced(recording, values.cup.length), methods.pair_of(recording, values, number)
+    part, pair = reduced(recording, values.cup.length), fitting.pair_of(recording, values, number)
     return pair, recording if bag in keep else part
 
 
 def _attempted(
     keep: Container[str], number: int, bag: str, path: str, values: Values
-) -> tuple[methods.Pair | None, AnyRecording | Failed]:
+) -> tuple[fitting.Pair | None, AnyRecording | Failed]:
     """Return the result of `read_part`, or the reason to leave the recording out."""
     configure_process()
     try:
@@ -243,7 +242,7 @@ def _read_here(
     poses: Mapping[str, Poses],
 ) -> tuple[Held, list[AnyRecording]]:
     """Return recordings read one after the other, all of which must be usable."""
-    pairs, parts = list[methods.Pair](), list[AnyRecording]()
+    pairs, parts = list[fitting.Pair](), list[AnyRecording]()
     for number, (bag, own) in enumerate(zip(bags, values, strict=True)):
         progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
         pair, part = read_part(keep, poses, number, bag, bag, own)
@@ -288,12 +287,11 @@ def _identify(
     """
     Fit the recordings; return the result.
 
-    `effective` are the parameters `values` with the length estimated from standstills. Estimates
-    of the package or the cup's length replace the given values, also in the recordings.
+    `effective` are the parameters `values` with the length estimated from standstills.
     """
     progress('fitting', FIT_BEGINS)
     try:
-        fit = methods.fit(
+        fit = fitting.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
             static.standstills if static else (), pairs)
@@ -303,13 +301,6 @@ def _identify(
     if values.fit.structure == structure.AUTO:
         values, effective = (each.replaced({'fit.structure': fit.structure})
                              for each in (values, effective))
-    if fit.freed and fit.converged:
-        values, effective = (methods.with_freed(each, fit.freed) for each in (values, effective))
-        found = {freed.name: np.array([freed.change]) for freed in fit.freed}
-        parts = [
-            as_found(part, found, n) if isinstance(part, Recording) else part._replace(
-                payload=payload_of(part.payload, {name: rows[0] for name, rows in found.items()}))
-            for n, part in enumerate(parts)]
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
     verdict = verdict_of(fit, recordings, effective.cup.length, effective)

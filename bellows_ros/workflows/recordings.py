@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.identification import output_error
+from bellows_ros.core.identification import fitting
 from bellows_ros.core.identification.estimate import Solution
-from bellows_ros.core.identification.quantities import KINDS, weak_prior
-from bellows_ros.core.identification.samples import likely_delay
+from bellows_ros.core.identification.least_squares import likely_delay
+from bellows_ros.core.identification.unknowns import KINDS, weak_prior
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
@@ -493,7 +493,7 @@ def _estimated(recording: Recording, values: Values, tells_clock: bool) -> Solut
         ('package_world', values.recording.package_world == checks.ESTIMATE),
         ('package_marker', _is_marked(recording.settings, values)),
         ('scale', 'scale' in values.fit.free)) if free]
-    return output_error.registered(
+    return fitting.registered(
         recording, conversion.given_structure(values), conversion.one_cup_of(values),
         weak_prior(names)) if names else None
 

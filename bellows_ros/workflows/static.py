@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.identification import statics
-from bellows_ros.core.identification.quantities import given_std
+from bellows_ros.core.identification.unknowns import given_std
 from bellows_ros.core.parameters.checks import ESTIMATE
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording

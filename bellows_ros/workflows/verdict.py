@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
-import json
 import math
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -11,11 +10,11 @@ from typing import Any, NamedTuple
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import methods
+from bellows_ros.core.identification import fitting
 from bellows_ros.core.identification.estimate import MAX_NOISE_CHI2
-from bellows_ros.core.identification.output_error import HELD_OUT
-from bellows_ros.core.identification.quantities import as_found, given_std, payload_of
+from bellows_ros.core.identification.fitting import HELD_OUT
 from bellows_ros.core.identification.result import Cause, DISTINCT, Fit, POSE_UNITS
+from bellows_ros.core.identification.unknowns import as_found, given_std, payload_of
 from bellows_ros.core.identification.validation import corner_scores, MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import Structure
@@ -267,7 +266,7 @@ def verdict_of(
         if verdict.simulated and all(
                 (each.rms <= MAX_SOUND_RATIO * each.noise).all() for each in verdict.simulated):
             return verdict  # its causes would not be described
-        fit = methods.fitted(tested, simulated, exactly=True)
+        fit = fitting.fitted(tested, simulated, exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(excess=excess, causing=fit.causes)
 
@@ -278,7 +277,7 @@ def _judged(
     """Return a verdict with free simulations of recordings, and with the corrections of a fit."""
     log_inertia_ratio = float(  # one of the three moments may be uncertain
         np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
-        'inertia' in fit.nuisances) else 0.0
+        'inertia' in fit.nuisances and not {'mass', 'inertia'} & {*fit.named}) else 0.0
     length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
     structure = given_structure(verdict.given)
     cup = gripper_of(replace(
@@ -300,7 +299,7 @@ def _found(
     if not fit.converged:
         return {}
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
-                                    if name != 'exposure'}
+                                    if name not in ('exposure', *fit.named)}
     estimates = estimates_of(recording.payload, free, length)
     parameters = {name: (FREE_PARAMETERS[name][0], estimates[name])
                   for name in ('com', 'length', 'inertia')}
@@ -455,14 +454,6 @@ def _gravity(cause: Cause, given: Given) -> Differing:
         given, lie.exp_so3(np.append(-cause.theta, 0.0)) @ alignment.DOWN)
 
 
-def _world(cause: Cause, given: Given) -> Differing:
-    """Return another vertical axis of the recording."""
-    if cause.value.startswith('gravity'):
-        return 'gravity.direction', 'wrong', _down(
-            given, np.array(json.loads(cause.value.removeprefix('gravity '))))
-    return 'recording.world', 'wrong', cause.value
-
-
 def _marker(cause: Cause, given: Given) -> dict[str, Any]:
     """Return the shift and rotation of a marker frame, and the settings that correct it."""
     shift, angle = map(np.linalg.norm, np.split(cause.theta, [len(cause.theta) - 3]))
@@ -470,15 +461,6 @@ def _marker(cause: Cause, given: Given) -> dict[str, Any]:
         ", or recording.align_at_rest: true if it is the tool's and the recording begins at rest")
     return {'shift': float(shift), 'angle': float(angle),
             'setting': f'fit.free: [package_marker]{by_rest}'}
-
-
-def _yaw(cause: Cause, given: Given) -> dict[str, Any]:
-    """Return the frames of which one is rotated about z."""
-    words = ', or '.join(
-        f"the {body}'s frame is turned by {degrees} degrees about z"
-        for body, degrees in map(str.split, filter(None, (cause.value, cause.instead))))
-    doubt = ': these recordings cannot tell which' * bool(cause.instead)
-    return {'turns': f'{words[0].upper()}{words[1:]}{doubt}'}
 
 
 def _down(given: Given, down: Array) -> str:
@@ -494,8 +476,7 @@ def _listed(values: Array) -> str:
 
 DIFFERING: Mapping[str, Callable[[Cause, Given], Differing]] = {
     'inertia': _inertia, 'com': _com, 'length': _length, 'gravity': _gravity,
-    'gravity.direction': _gravity, 'recording.world': _world,
-    'recording.package_frame': lambda cause, given: (cause.name, 'wrong', cause.value),
+    'gravity.direction': _gravity,
     'package.files': lambda cause, given: (cause.name, cause.value, 'the other order')}
 """Causes that are wrong parameters."""
 
@@ -506,7 +487,7 @@ MORE: Mapping[str, Callable[[Cause, Given], dict[str, Any]]] = {
         'why': alignment.motion_words(cause.theta, cause.std)},
     'slip': lambda cause, given: {
         'position': math.hypot(*cause.theta[:2]), 'rotation': 0.0, 'at': float(cause.theta[-1])},
-    'package_marker': _marker, 'yaw': _yaw,
+    'package_marker': _marker,
     'unknown': lambda cause, given: {
         'axis': cause.value, 'second': float(cause.theta[min(1, len(cause.theta) - 1)]),
         'band': ', at {:.1f} to {:.1f} Hz'.format(*cause.theta[2:4])

@@ -195,7 +195,6 @@ def settings(root, known):
     ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']},
      'length.* static.length'),
     ({'fit.free': ['weight']}, "time_offset, clock_rate, com,.* 'weight'"),
-    ({'fit.free': ['mass', 'inertia']}, 'mass, inertia'),
 ])
 def test_what_cannot_be_free_is_refused(settings, change, named):
     with pytest.raises(BellowsError, match=f'fit.free.*{named}'):

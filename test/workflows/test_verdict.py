@@ -93,7 +93,7 @@ def made_for(laboratory, factor=1.0, std=1e-3, structure='axisymmetric'):
     return Fit(
         method='output_error', structure=structure.name, parameters=x,
         covariance=np.diag((np.where(about_z, std, 1e-3) * x) ** 2), samples_used=1,
-        samples_rejected=0, condition_number=1.0, weight=np.eye(6), residual_rms=np.ones(6),
+        samples_rejected=0, condition_number=1.0, residual_rms=np.ones(6),
         chi2=1.0, robust_chi2=1.0)
 
 

@@ -1,10 +1,14 @@
 """Files of a fit reproduce its free simulation, whatever is given, free and written."""
 
+from dataclasses import replace
+
+from bellows_ros.core.identification.result import with_unidentifiable
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
 from bellows_ros.workflows.simulate import simulate_recording
+import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from ruamel.yaml import YAML
@@ -36,3 +40,26 @@ def test_the_files_of_a_fit_reproduce_its_free_simulation(
     files = read_parameters(cell) if has_cell else settings
     again = replay(bag, {**files, **read_parameters(cup)}).validation.scores.rms
     assert_allclose(again, found.verdict.simulated[0].rms, rtol=0.01)
+
+
+def test_a_number_that_is_not_identifiable_is_the_given_one(known, bag, tmp_path):
+    given = np.diag([50.0, 50.0, 25.0, 0.06, 0.06, 0.1])
+    found = identify({**known, 'fit.method': 'least_squares', 'bags': [bag],
+                      'cup.damping': given.ravel().tolist()})
+    unknown = np.array([label == 'P rz' for label in found.fit.labels])
+    found = replace(found, fit=replace(
+        found.fit, covariance=with_unidentifiable(found.fit.covariance, unknown)))
+    save(found, tmp_path / 'cup.yaml', None)
+    cup = read_parameters(tmp_path / 'cup.yaml')
+    P, std = (np.diag(np.reshape(cup[f'cup.damping{end}'], (6, 6))) for end in ('', '_std'))
+    assert (std >= 1e9).tolist() == [False] * 5 + [True]
+    assert P[5] == given[5, 5] != found.fit.damping[5, 5]
+
+
+def test_what_cannot_be_freed_keeps_its_given_value(known, bag):
+    """Only the ratio of mass and inertia is observable."""
+    found = identify({**known, 'fit.method': 'output_error', 'fit.free': ['mass', 'inertia'],
+                      'bags': [bag]})
+    assert found.fit.usable and not {'mass', 'inertia'} & {*found.fit.named}
+    assert 'mass' in next(each for each in found.fit.notes if each.code == 'not_freed').numbers[
+        'names']

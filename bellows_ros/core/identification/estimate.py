@@ -16,13 +16,11 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification import residuals
-from bellows_ros.core.identification.information import Arrow, symmetric_roots
 from bellows_ros.core.identification.pool import Held
-from bellows_ros.core.identification.quantities import Free
 from bellows_ros.core.identification.residuals import HUBER_STD, Part
-from bellows_ros.core.identification.result import CHANCE
+from bellows_ros.core.identification.result import Arrow, CHANCE, symmetric_roots
 from bellows_ros.core.identification.segments import Course, Segments
-from bellows_ros.core.identification.unknowns import MIN_STRENGTH, Problem
+from bellows_ros.core.identification.unknowns import Free, MIN_STRENGTH, Problem
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.signals.resampling import MAD_TO_STD
@@ -221,6 +219,15 @@ class Solution:
     @property
     def cup(self) -> Cup:
         return self.problem.cup(self.theta)
+
+    def only(self, number: int) -> 'Solution':
+        """Return the solution of one recording alone, with its information still of all."""
+        problem = replace(self.problem, standstills=()).with_segments(
+            self.problem.held.only([number]), self.problem.outlines[number:number + 1])
+        return replace(
+            self, problem=problem, theta=self.theta[self.problem.index(number)],
+            courses=self.courses.only([number]), parts=self.parts.only([number]),
+            sums=self.sums[number:number + 1])
 
     def freed(self, more: Free, structure: Structure | None = None) -> 'Solution':
         """Return the start of a problem with more free quantities, with equal cup and courses."""

@@ -3,9 +3,10 @@ Values of recordings, kept by the process that computed them, and functions over
 
 The value of a recording is in this process, or is a future of a cluster. The cluster computes a
 lost value again, so results do not depend on the workers.
+A reduced recording has the facts without rows and poses.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from operator import itemgetter
@@ -13,6 +14,11 @@ import time
 from typing import Any, NamedTuple
 
 from bellows_ros.core import usable_cores
+from bellows_ros.core.findings import Finding
+from bellows_ros.core.identification.least_squares import envelope, samples_of
+from bellows_ros.core.model.cup_package import Package
+from bellows_ros.core.model.validity_range import Envelope
+from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
 
 
 def in_threads(function: Callable[..., Any], *columns: Sequence[Any]) -> list[Any]:
@@ -86,3 +92,88 @@ def _called(function: Callable[..., Any], slots: Sequence[Any], *values: Any) ->
 def here(values: Sequence[Any]) -> Held:
     """Return values of recordings in this process."""
     return Pool().each(values)
+
+
+class ReducedRecording(NamedTuple):
+    """
+    Facts on a recording, without its rows and poses.
+
+    Parameters
+    ----------
+    report : mapping
+        Report on the recording, as in the JSON file of a fit.
+    digest : str
+        Digest of its stored messages.
+    files : tuple of mapping
+        Name, bytes and sha256 of each of its files.
+    payload : Package
+        The package in it.
+    time_offset : TimeOffset or None
+        Offset subtracted from the tool's stamps, None if not requested or not identifiable.
+    package_world : PackageWorld or None
+        Transform between two worlds, if estimated.
+    rate_hz : float
+        Rate of the package's poses.
+    cup_length : float
+        Cup length l0 of the validity range, m.
+    envelope : Envelope
+        Its validity range.
+    remarks : tuple of Finding
+        Findings of the preparation and of the checks.
+
+    """
+
+    report: Mapping[str, Any]
+    digest: str
+    files: tuple[Mapping[str, Any], ...]
+    payload: Package
+    time_offset: TimeOffset | None
+    package_world: PackageWorld | None
+    rate_hz: float
+    cup_length: float
+    envelope: Envelope
+    remarks: tuple[Finding, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the recording as the user gave it."""
+        return str(self.report['bag'])
+
+
+AnyRecording = Recording | ReducedRecording
+
+
+def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
+    """Return the recordings that are not reduced."""
+    return [recording for recording in recordings if isinstance(recording, Recording)]
+
+
+def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
+    """
+    Return a recording reduced, if it is not.
+
+    Raises
+    ------
+    BellowsError
+        If the recording has no valid samples, or the package is not below the tool.
+
+    """
+    if isinstance(recording, ReducedRecording):
+        return recording
+    whole = recording
+    return whole.cached(('reduced', cup_length), lambda: _reduced(whole, cup_length))
+
+
+def envelope_of(recording: Recording, cup_length: float) -> Envelope:
+    """Return the validity range of a recording."""
+    return recording.cached(
+        ('envelope', cup_length), lambda: envelope(samples_of(recording), cup_length))
+
+
+def _reduced(recording: Recording, length: float) -> ReducedRecording:
+    """Return a recording reduced."""
+    return ReducedRecording(
+        recording.as_json(), recording.digest, recording.files, recording.payload,
+        recording.report.time_offset, recording.report.package_world,
+        recording.report.package.timing.rate_hz, length, envelope_of(recording, length),
+        recording.report.remarks)

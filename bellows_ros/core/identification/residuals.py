@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
-from bellows_ros.core.identification import noise, quantities
+from bellows_ros.core.identification import noise
 from bellows_ros.core.identification.pool import in_threads
 from bellows_ros.core.identification.result import CHANCE
 from bellows_ros.core.identification.segments import Course, MIN_POSE_STD, ROW_NS, Segment
-from bellows_ros.core.identification.unknowns import Problem
+from bellows_ros.core.identification.unknowns import gravity_of, payload_of, Problem
 from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -457,8 +457,8 @@ def _off_balance(problem: Problem, theta: Array, still: Standstill, middle: Arra
     """Return the deviation (6,) of a standstill from the equilibrium of the model, m and rad."""
     free = problem.values(theta)
     cup = replace(problem.gripper(theta, free), relaxation=(0.0, 0.0))
-    model = model_tuple(cup, quantities.payload_of(still.payload, free),
-                        quantities.gravity_of(still.gravity, free))
+    model = model_tuple(cup, payload_of(still.payload, free),
+                        gravity_of(still.gravity, free))
     tool, measured = (simulation.row_state(np.append(pose_rows(poses)[0], np.zeros(6)))
                       for poses in (still.tool, body.poses_of(
                           still.package, free, np.array(still.moves_with_com, float), middle)))

@@ -1,5 +1,5 @@
 """
-The result of a fit, with its uncertainty and its warnings.
+The result of a fit, and the information matrices from which its uncertainty follows.
 
 A parameter with a component in an unidentifiable direction has infinite variance, no covariances,
 and zero information.
@@ -8,10 +8,11 @@ and zero information.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+import math
 from typing import NamedTuple
 
 from bellows_ros.core import findings
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.model.structure import ROUNDING, Structure, structure_named, STRUCTURES
 import numpy as np
 
@@ -25,12 +26,16 @@ EXCITATION: Mapping[str, str] = {
 """Motion that makes the numbers of a direction identifiable."""
 
 
-def remedy_for(label: str, structure: Structure) -> str:
-    """Return the remedy for an unidentifiable number, with regard to a gripper's other cups."""
+def not_identifiable(
+    label: str, structure: Structure, why: str, given: str = ''
+) -> findings.Finding:
+    """Return the finding on an unidentifiable number, with regard to a gripper's other cups."""
     axis = label.split()[1]
+    how = EXCITATION.get(axis, 'Move all axes at once')
     if structure.places and axis.startswith('r'):
-        return 'Identify one cup alone, as the other cups bear most of it'
-    return EXCITATION.get(axis, 'Move all axes at once')
+        how = 'Identify one cup alone, as the other cups bear most of it'
+    return findings.Finding('not_identifiable', findings.Level.WARN, {
+        'label': label, 'why': why, 'how': how, 'given': given})
 
 
 UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
@@ -111,23 +116,6 @@ class Cause(NamedTuple):
             self.share >= DISTINCT and self.moved > MATERIAL))
 
 
-class Iteration(NamedTuple):
-    """One step of a minimisation: its number, chi^2 per residual, K and P."""
-
-    number: int
-    chi2: float
-    stiffness: Array
-    damping: Array
-
-
-class Freed(NamedTuple):
-    """Estimates of one name in fit.free, SI units."""
-
-    name: str
-    change: tuple[float, ...]
-    std: tuple[float, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
@@ -148,8 +136,6 @@ class Fit:
         Numbers of used and of omitted samples.
     condition_number : float
         Condition number of the whitened regressor with columns of unit length.
-    weight : ndarray (6, 6)
-        Inverse covariance of the residuals: W of (4.66) at the lip, or of the innovations.
     residual_rms : ndarray (6,)
         RMS of the residual wrench (N, N m) or pose (m, rad).
     notes : tuple of str
@@ -162,14 +148,8 @@ class Fit:
         Chi^2 per degree of freedom of the whitened differences; and chi^2 from their median,
         insensitive to outliers and heavy tails, relative to the noise of slow poses at rest if
         larger; None for least squares.
-    iterations : tuple of Iteration
-        Steps to the minimum; empty for least squares.
-    delays, delays_std : tuple of float
-        Delays (s) of each recording's tool stamps behind the package's, if requested, and their
-        standard errors, inf if not identifiable.
-    freed : tuple of Freed
-        Other estimates: com and length as changes, m; inertia and mass as logarithms of factors;
-        standard error inf if not identifiable.
+    named : tuple of str
+        Names of the nuisances that the user requested.
     standstills : (int, float) or None
         Number of standstills in the fit, and chi^2 of their deviations per number, 1 if the errors
         of the mean poses explain them, above 1 with less weight; None without any.
@@ -189,9 +169,10 @@ class Fit:
         Parameters without the last fifth of each recording; None for least squares.
     nuisances : mapping
         Other quantities estimated jointly with K and P, by names of `KINDS`: changes, SI units, a
-        row for each recording or one for all; without those in `freed`.
+        row for each recording or one for all; mass and inertia as logarithms of factors.
     nuisances_std : mapping
-        Standard deviations of the nuisances, including the uncertainty of given quantities.
+        Standard deviations of the nuisances, including the uncertainty of given quantities; inf
+        for requested ones that are not identifiable.
 
     """
 
@@ -202,17 +183,13 @@ class Fit:
     samples_used: int
     samples_rejected: int
     condition_number: float
-    weight: Array
     residual_rms: Array
     notes: tuple[findings.Finding, ...] = ()
     misfit: findings.Finding | None = None
     converged: bool = True
     chi2: float | None = None
     robust_chi2: float | None = None
-    iterations: tuple[Iteration, ...] = ()
-    delays: tuple[float, ...] = ()
-    delays_std: tuple[float, ...] = ()
-    freed: tuple[Freed, ...] = ()
+    named: tuple[str, ...] = ()
     standstills: tuple[int, float] | None = None
     relaxation: tuple[float, float] = (0.0, 0.0)
     relaxation_std: tuple[float, float] = (0.0, 0.0)
@@ -295,3 +272,148 @@ def definiteness_findings(
         for name, value, is_refused in zip(
             ('stiffness K is not positive definite', 'damping P is not positive semidefinite'),
             smallest, refused, strict=True) if is_refused)
+
+
+MAX_CONDITION = 1e6
+"""Largest ratio of singular values of identifiable combinations of parameters."""
+
+IN_NULL_SPACE = 0.05
+"""Largest component of an identifiable parameter in the null space."""
+
+
+def inverted(information: Array, unit: Array) -> tuple[Array, Mask, float]:
+    """
+    Return the inverse of an information matrix (p, p) up to its rank (4.74).
+
+    Further results are the mask (p,) of the identifiable parameters, and the condition number of
+    the regressor with columns in units of their sizes (p,), infinite without effect.
+    """
+    scale = np.outer(unit, unit)
+    values, V = np.linalg.eigh(information / scale)
+    used = values > values[-1] / MAX_CONDITION**2
+    condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 0.0 else np.inf
+    return ((V[:, used] / values[used]) @ V[:, used].T / scale,
+            ~np.any(np.abs(V[:, ~used]) > IN_NULL_SPACE, axis=1), condition)
+
+
+def with_unidentifiable(covariance: Array, unidentifiable: Mask) -> Array:
+    """Return a covariance with some parameters (n,) unidentifiable."""
+    identifiable = ~unidentifiable
+    result = np.where(np.outer(identifiable, identifiable), covariance, 0.0)
+    result[np.diag_indices_from(result)] = np.where(identifiable, np.diag(covariance), np.inf)
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Arrow:
+    """
+    A symmetric matrix (m, m) without coupling between own unknowns of two recordings.
+
+    The own unknowns of each recording are eliminated separately (Schur complement): work and
+    memory grow linearly with the number of recordings.
+
+    Parameters
+    ----------
+    shared : ndarray (s, s)
+        Information on the shared unknowns.
+    coupling : ndarray (R, o, s)
+        Information between own unknowns of each of R recordings and the shared ones.
+    own : ndarray (R, o, o)
+        Information on the own unknowns of each recording.
+    places : int ndarray (R, o)
+        Indices of the own unknowns among all.
+
+    """
+
+    shared: Array
+    coupling: Array
+    own: Array
+    places: Places
+
+    def damped(self, damping: float) -> 'Arrow':
+        """Return the matrix with its diagonal increased by a fraction."""
+        return replace(self, shared=self.shared * (1.0 + damping * np.eye(len(self.shared))),
+                       own=self.own * (1.0 + damping * np.eye(self.own.shape[1])))
+
+    def raised(self, diagonal: Array) -> 'Arrow':
+        """Return the matrix with its diagonal increased by numbers (m,)."""
+        return replace(self, shared=self.shared + np.diag(diagonal[:len(self.shared)]), own=(
+            self.own + diagonal[self.places][:, :, None] * np.eye(self.own.shape[1])))
+
+    def times(self, x: Array) -> Array:
+        """Return the product with a vector (m,)."""
+        y, own, size = np.empty_like(x), x[self.places], len(self.shared)
+        y[:size] = self.shared @ x[:size] + np.einsum('ros,ro->s', self.coupling, own)
+        y[self.places] = self.coupling @ x[:size] + np.einsum('rop,rp->ro', self.own, own)
+        return y
+
+    @cached_property
+    def carried(self) -> Array:
+        """Negative change (R, o, s) of own unknowns per unit of shared ones, at the minimum."""
+        return np.asarray(np.linalg.solve(self.own, self.coupling))
+
+    @cached_property
+    def reduced(self) -> Array:
+        """Information (s, s) on the shared unknowns, with the own ones eliminated."""
+        return np.asarray(self.shared - np.einsum('ros,rot->st', self.coupling, self.carried))
+
+    def followed(self, g: Array) -> Array:
+        """Return the slope (s,) along shared unknowns, with own ones following."""
+        return np.asarray(g[:len(self.shared)] - np.einsum(
+            'ros,ro->s', self.carried, g[self.places]))
+
+    def solve(self, g: Array) -> Array:
+        """Return the solution (m,) with a right-hand side (m,)."""
+        x, size = np.empty_like(g), len(self.shared)
+        x[:size] = np.linalg.solve(self.reduced, self.followed(g))
+        x[self.places] = np.linalg.solve(
+            self.own, g[self.places][..., None])[..., 0] - self.carried @ x[:size]
+        return x
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (s, s) of the shared unknowns."""
+        return np.asarray(np.linalg.inv(self.reduced))
+
+    def block(self, number: int) -> Array:
+        """Return the covariance (q, q) of the shared unknowns and the own ones of a recording."""
+        crossed = -self.carried[number] @ self.covariance
+        own = np.linalg.inv(self.own[number]) - crossed @ self.carried[number].T
+        return np.block([[self.covariance, crossed.T], [crossed, own]])
+
+    def variances_with(self, shared: Array, factor: float = 1.0) -> Array:
+        """Return variances (m,) of all unknowns, with a covariance (s, s) of the shared ones."""
+        variances = np.empty(len(shared) + self.places.size)
+        variances[:len(shared)] = np.diag(shared)
+        variances[self.places] = np.einsum(
+            'roo->ro', factor * np.linalg.inv(self.own)) + np.einsum(
+            'ros,st,rot->ro', self.carried, shared, self.carried, optimize=True)
+        return variances
+
+    @cached_property
+    def variances(self) -> Array:
+        """Variances (m,) of the unknowns."""
+        return self.variances_with(self.covariance)
+
+    def within(self, used: Mask) -> 'Arrow':
+        """Return the matrix with the identity for unused unknowns (m,)."""
+        a, b = used[:len(self.shared)], used[self.places]
+        return replace(
+            self, shared=np.where(np.outer(a, a), self.shared, np.eye(len(a))),
+            coupling=np.where(b[:, :, None] & a, self.coupling, 0.0),
+            own=np.where(b[:, :, None] & b[:, None], self.own, np.eye(b.shape[1])))
+
+    def fall(self, g: Array, used: Mask) -> float:
+        """Return the fall of chi² if the used unknowns (m,) follow a slope (m,)."""
+        slope = np.where(used, g, 0.0)
+        try:
+            return float(slope @ self.within(used).solve(slope))
+        except np.linalg.LinAlgError:  # diverging simulation
+            return math.nan
+
+
+def symmetric_roots(M: Array) -> tuple[Array, Array]:
+    """Return the symmetric root of a definite matrix, and its inverse."""
+    values, vectors = np.linalg.eigh(M)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    return (vectors * root) @ vectors.T, (vectors / root) @ vectors.T

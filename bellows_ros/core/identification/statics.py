@@ -49,8 +49,6 @@ class CupLength(NamedTuple):
         Chi^2 of the fit, and its degrees of freedom.
     stiffness : float
         Axial stiffness at no load, N/m.
-    linear_load : float
-        Load up to which the spring is linear, N; at most the largest measured load.
     loads, lengths, errors : ndarray (N,)
         Load (N), length (m) and its standard error (m) of every used standstill.
     coefficients : ndarray
@@ -68,7 +66,6 @@ class CupLength(NamedTuple):
     chi2: float
     degrees_of_freedom: int
     stiffness: float
-    linear_load: float
     loads: Array
     lengths: Array
     errors: Array
@@ -150,8 +147,7 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
             'mass (kg) and their order.')
     return CupLength(
         float(coefficients[0]), std, chi2, degrees_of_freedom, stiffness,
-        _linear_range(coefficients, float(loads.max())), loads, lengths, errors,
-        coefficients, pick)
+        loads, lengths, errors, coefficients, pick)
 
 
 def _groups(loads: Array) -> Places:
@@ -189,12 +185,3 @@ def _polynomial(measured: Array, degree: int) -> tuple[Array, float, float, int]
     chi2 = float(np.sum(((lengths - np.polyval(x, loads)) / errors) ** 2))
     scatter = max(chi2 / degrees_of_freedom, 1.0) if degrees_of_freedom else np.inf
     return x[::-1], float(np.sqrt(scatter * covariance[-1, -1])), chi2, degrees_of_freedom
-
-
-def _linear_range(coefficients: Array, largest: float) -> float:
-    """Return the load (N) up to which a polynomial stays near its tangent at no load."""
-    loads = np.linspace(0.0, largest, 1001)[1:]
-    tangent = coefficients[0] + coefficients[1] * loads
-    bent = np.abs(polyval(loads, coefficients) - tangent) > 0.05 * np.abs(
-        coefficients[1] * loads)
-    return float(loads[int(np.argmax(bent))]) if bent.any() else largest

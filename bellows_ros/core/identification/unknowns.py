@@ -5,22 +5,24 @@ All uncertain quantities are free jointly with K and P, with their priors as add
 measurements. K and P are exponentials of matrices, K = T exp(M) T, which are definite for any
 numbers: the numbers of M are logarithms of entries on the diagonal, and correlations. Wide priors
 on the order of magnitude of K and P are negligible for numbers that the recordings determine.
+
+Each given quantity is a measurement with a standard deviation.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 import math
-from typing import Any
+from pathlib import Path
+import tomllib
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.identification import quantities
-from bellows_ros.core.identification.information import Arrow, symmetric_roots
 from bellows_ros.core.identification.pool import Held, here
-from bellows_ros.core.identification.quantities import Free, KINDS
-from bellows_ros.core.identification.result import MAX_RELATIVE_ERROR
+from bellows_ros.core.identification.result import Arrow, MAX_RELATIVE_ERROR, symmetric_roots
 from bellows_ros.core.identification.segments import (
     MeasuredSegment,
     Outline,
@@ -29,12 +31,154 @@ from bellows_ros.core.identification.segments import (
     Segments,
     segments_of,
 )
-from bellows_ros.core.model.cup_package import Cup, gripper_of, model_tuple, Package
+from bellows_ros.core.model.cup_package import (
+    Cup,
+    gravity_vector,
+    gripper_of,
+    model_tuple,
+    Package,
+    varied,
+)
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.model.structure import INERTIA_STD, Structure
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
+from bellows_ros.core.parameters.conversion import package_of, stated_std
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill
+from bellows_ros.core.sensors import body
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+class Kind(NamedTuple):
+    """
+    A kind of quantity that may be estimated jointly with K and P, see `quantities.toml`.
+
+    Parameters
+    ----------
+    unit : float
+        Unit of the search, SI units.
+    size : int
+        Number of values.
+    max_std : float
+        Largest standard error of an identifiable quantity.
+    prior_std : float
+        Standard deviation of a weak prior.
+    each : bool
+        Whether every recording has values of its own.
+
+    """
+
+    unit: float
+    size: int
+    max_std: float
+    prior_std: float
+    each: bool = False
+
+
+KINDS: Mapping[str, Kind] = {
+    name: Kind(**numbers) for name, numbers in tomllib.loads(
+        Path(__file__).with_name('quantities.toml').read_text()).items()}
+"""Kinds by their names in fit.free."""
+
+STRETCH_UNITS = np.array([1e3, 1.0])
+"""Units of the two coefficients of stretch in a search, N/m^2 and N."""
+
+
+Free = Mapping[str, Array]
+"""Values by name, for one recording."""
+
+NOTHING: Free = MappingProxyType({})
+
+MARKERS = ('package_marker', 'tool_marker')
+"""Two marker frames that one recording can hardly distinguish."""
+
+CLOCK_RATE_STD = 5e-5
+"""Standard deviation of the relative rate of two quartz clocks."""
+
+MIN_STD = 1e-9
+"""Smallest standard deviation, SI units."""
+
+PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': INERTIA_STD, 'com': 2e-3}
+"""Standard deviations of a package's quantities by default: relative for mass and inertia, m."""
+
+
+def weak_prior(names: Iterable[str]) -> dict[str, Array]:
+    """Return the standard deviations of weak priors on quantities, by name."""
+    return {name: np.full(KINDS[name].size, KINDS[name].prior_std) for name in names}
+
+
+def payload_of(payload: Package, free: Free) -> Package:
+    """Return the package with the values of free quantities."""
+    changes = {name: free[name] for name in ('com', 'mass', 'inertia') if name in free}
+    return varied(payload, **changes) if changes else payload
+
+
+def gravity_of(gravity: Array | float, free: Free) -> Array:
+    """Return the vector (3,) of gravity in a tilted world."""
+    return np.asarray(lie.exp_so3(-np.append(free.get('gravity', (0.0, 0.0)), 0.0))
+                      @ gravity_vector(gravity))
+
+
+def given_std(values: Values) -> dict[str, Array]:
+    """Return the standard deviations of given quantities, by names of `KINDS`, SI units."""
+    marker = np.repeat(values.recording.marker_std, 3)
+    stds = {'length': np.array([values.cup.length_std]), 'package_marker': marker,
+            'time_offset': np.array([values.recording.clock_std]),
+            'clock_rate': np.array([CLOCK_RATE_STD if values.recording.clock_std else 0.0]),
+            'exposure': np.array([float(  # a tracked body has none
+                values.measured.tag_size > 0.0 and not values.measured.exposure)])}
+    if values.recording.package_world:
+        stds['package_world'] = marker
+    if not values.topics.package_pose:
+        stds = {'length': stds['length']}
+    if all(name in values for name in PACKAGE_PARAMETERS):
+        payload = package_of(values)
+        for name, size in (('mass', np.array([payload.mass])), ('com', np.ones(3)),
+                           ('inertia', np.diag(payload.inertia))):
+            stds[name] = stated_std(
+                values, f'package.{name}_std', PACKAGE_STD[name] * size) / size
+    return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
+
+
+def as_found(recording: Recording, found: Free, number: int) -> Recording:
+    """
+    Return a recording with the estimates of a fit for package, marker, world and clock.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording with the given quantities.
+    found : mapping
+        See `Fit.nuisances`.
+    number : int
+        Index of the recording in the fit.
+
+    """
+    if not found:
+        return recording
+    free = {name: rows[number % len(rows)] for name, rows in found.items()}
+    moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
+    middle, views = body.middle_of(tracked), recording.views
+    camera = views.tag.T_world_camera[:3, 3] if views else 0.0
+    offset, rate = (float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate'))
+    delays = offset * NS_PER_S + rate * (tracked.stamps_ns - middle[3] * NS_PER_S)
+
+    def moved(poses: Trajectory) -> Trajectory:
+        return body.poses_of(poses, free, moves, middle, camera)
+
+    of_tool, of_package = recording.filters
+    payload = payload_of(recording.payload, free)
+    stamps_ns = tracked.stamps_ns + np.rint(delays).astype(np.int64)
+    return replace(
+        recording, seen=views and replace(
+            views.at(tracked.stamps_ns).corrected(free, moves, middle), stamps_ns=stamps_ns),
+        settings=replace(recording.settings, payload=payload),
+        filters=(of_tool, replace(of_package, poses=moved(of_package.poses))),
+        tracked_package=replace(moved(tracked), stamps_ns=stamps_ns))
+
 
 MIN_STRENGTH = 1e-6
 """Smallest strength of relaxation in a search, as a branch of none has no strain."""
@@ -165,10 +309,6 @@ class Problem:
         return replace(self, structure=structure or self.structure, guess=self.cup(theta),
                        free={**self.free, **more})
 
-    def from_cup(self, cup: Cup) -> 'Problem':
-        """Return the problem with another initial guess."""
-        return replace(self, guess=cup)
-
     def is_own(self, name: str) -> bool:
         """Return whether each recording has its own value of a quantity."""
         return KINDS[name].each and name not in self.common
@@ -289,7 +429,7 @@ class Problem:
         """Return the coefficients of stretch of the unknowns, N/m^2 and N."""
         change = np.sum([(self.units * theta)[place] for place in self.places.get('stretch', ())],
                         axis=0)
-        a, b = (self.first_cup.stretch + change * quantities.STRETCH_UNITS).tolist()
+        a, b = (self.first_cup.stretch + change * STRETCH_UNITS).tolist()
         return a, b
 
     def transferred(self, other: 'Problem', theta: Array) -> Array:
@@ -317,7 +457,7 @@ class Problem:
             free['length'] = free.get('length', np.zeros(1)) + part * free['length_drift']
         return model_tuple(
             self.gripper(theta, free), _scaled(measured.payload, free),
-            quantities.gravity_of(measured.gravity, free))
+            gravity_of(measured.gravity, free))
 
     def gripper(self, theta: Array, free: Free) -> Cup:
         """Return the cup or cups with their free quantities."""

@@ -15,13 +15,10 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.result import CHANCE
-from bellows_ros.core.identification.segments import MIN_POSE_STD
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import (
-    lip_wrenches,
     rest,
-    row_state,
     simulate,
     state_row,
     tool_rows,
@@ -36,7 +33,6 @@ from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError
 import numpy as np
-from scipy import optimize
 
 LIGHT_HALF_WINDOW = 1 / 60
 """Half window of the light smoothing of the tool, s: a pass band of 20 Hz."""
@@ -49,9 +45,6 @@ MAX_NRMSE = 0.05
 
 MAX_BRIDGE_TIME = 0.08
 """Longest gap of the tool that is bridged without a warning, s."""
-
-START_SECONDS = 0.8
-"""Duration for the fit of the first state behind a gap, s."""
 
 REST_S = 0.3
 """Shortest initial rest of both bodies in a recording that begins at rest, s."""
@@ -179,11 +172,6 @@ class Validation(residuals.Comparison):
     def model(self) -> ModelTuple:
         """The cup with the package of the recording, as the kernels take them."""
         return model_tuple(self.cup, self.recording.payload, self.recording.settings.gravity)
-
-    @cached_property
-    def wrench(self) -> Array:
-        """Wrench (N, 6) of the cup at the lip in the free simulation, in lip axes, N and N m."""
-        return lip_wrenches(self.model, tool_rows(self.tool), tool_rows(self.package))
 
     @cached_property
     def noise(self) -> Array:
@@ -320,8 +308,6 @@ def _run(
     model = model_tuple(cup, payload, gravity)
     state, begin, start = _start(model, tool, recording, is_first)
     tool = resample(tool, np.append(begin, tool.stamps_ns[tool.stamps_ns > begin]))
-    if not is_first:
-        state = _fitted_state(cup, recording, tool, state)
     moved = simulate(cup, payload, tool, state, gravity)
     return Run(tool, moved, state, start), [
         Finding('gap', Level.WARN, {
@@ -352,37 +338,6 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ('stamps_ns', 'position', 'rotation', 'twist', 'valid'))
     return Trajectory(stamps, position, rotation, twist, valid=valid)
-
-
-def _fitted_state(
-    cup: Cup, recording: Recording, tool: Trajectory, guess: State
-) -> State:
-    """Return the package's first state that fits its first poses best."""
-    end = int(tool.stamps_ns[0]) + int(START_SECONDS * NS_PER_S)
-    window = tool.between(tool.stamps_ns[0], end)
-    package = recording.tracked_package.between(*window.stamps_ns[[0, -1]])
-    package = package.select(package.valid)
-    if len(package) < 6:  # three times as many numbers as unknowns
-        return guess
-    std = np.maximum(recording.body_noise[1].std, MIN_POSE_STD)
-
-    row = np.concatenate(guess[:4])
-
-    def differences(change: Array) -> Array:
-        moved = simulate(cup, recording.payload, window, row_state(_changed(row, change)),
-                         recording.settings.gravity)
-        at = resample(moved, package.stamps_ns)
-        return np.asarray(residuals.relative_coordinates(package, at) / std).ravel()
-
-    return row_state(_changed(row, optimize.least_squares(
-        differences, np.zeros(12), method='lm', x_scale='jac', ftol=1e-3).x))
-
-
-def _changed(row: Array, change: Array) -> Array:
-    """Return a row after a change (12,) of position, rotation in body axes, and twist."""
-    R = lie.quaternion_to_rotation(row[3:7]) @ lie.exp_so3(change[3:6])
-    return np.concatenate([row[:3] + change[:3], lie.rotation_to_quaternion(R),
-                           row[7:] + change[6:]])
 
 
 def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, Array]:

@@ -41,6 +41,8 @@ MIN_REST = 0.5
 # Smallest rotation (rad) of marker frames relative to each other, also relative to the tool's
 # tilt, by which a package bends the cup.
 MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT = np.deg2rad(1.5), 0.5
+# Largest rotation (rad) of a package on a cup at rest: 60 degrees, beyond any bending.
+MAX_TURN = 1.0
 
 
 @dataclass(frozen=True, eq=False)

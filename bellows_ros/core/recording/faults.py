@@ -29,6 +29,7 @@ OF_POSES: tuple[Row, ...] = (
 
 OF_RECORDING: tuple[Row, ...] = (
     (prepared_faults.misplaced,),
+    (prepared_faults.turned_frames,),
     (prepared_faults.clocks_apart, prepared_faults.low_pass, prepared_faults.jumps,
      prepared_faults.wrong_sensors))
 """Checks of a prepared recording, in one world and on one clock."""

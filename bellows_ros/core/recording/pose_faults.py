@@ -322,10 +322,12 @@ def exchanged_topics(poses: RecordedPoses) -> Iterator[Finding]:
 
 
 def tool_z(poses: RecordedPoses) -> Iterator[Finding]:
-    """Yield a z axis of the tool that points down, out of the arm."""
+    """Yield a z axis of the tool that points down, out of the arm, or sideways."""
     up, angle = tool_up(poses.tool.rotation, poses.R_world_recorded)
     if up < MAX_UP and not poses.aligned:
         yield Finding('tool_z', Level.ERROR, {'angle': angle}, 'tool')
+    elif up < UPRIGHT and not poses.aligned:
+        yield Finding('sideways', Level.ERROR, {'angle': angle}, 'tool')
 
 
 def tool_up(rotation: Array, R: Array) -> tuple[float, float]:

@@ -168,6 +168,12 @@ def misplaced(recording: Recording) -> Iterator[Finding]:
         yield Finding('package_frame' if is_frame else 'tool_z', Level.ERROR, {'above': above})
 
 
+def turned_frames(recording: Recording) -> Iterator[Finding]:
+    """Yield frames that are turned by more than a cup bends."""
+    yield from (remark._replace(level=Level.ERROR) for remark in recording.report.remarks
+                if remark.code == 'turned' and remark.numbers['turned'] > alignment.MAX_TURN)
+
+
 def _arrangement(recording: Recording) -> tuple[Trajectory, Trajectory, Array]:
     """Return selected poses of tool and package, and the lip from the tool in A (N, 3), m."""
     some = np.flatnonzero(recording.whole)[::SAMPLE_STEP]

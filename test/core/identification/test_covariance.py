@@ -2,8 +2,8 @@
 
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.identification.information import covariance_of
-from bellows_ros.core.identification.output_error import output_error
+from bellows_ros.core.identification.fitting import output_error
+from bellows_ros.core.identification.result import inverted, with_unidentifiable
 from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium
@@ -142,43 +142,18 @@ def test_full_matrices_from_a_diagonal_start(seed):
     assert joint < most and (joint > least or not any(noise))
 
 
-def definite(seed, size=5):
-    """Return a positive definite matrix of numbers of very different sizes."""
-    rng = np.random.default_rng(seed)
-    A = rng.standard_normal((3 * size, size))
-    scale = 10.0 ** rng.uniform(-4, 4, size)
-    return scale[:, None] * (A.T @ A) * scale
-
-
-@pytest.mark.parametrize('seed', range(5))
-def test_a_covariance_is_the_inverse_where_all_is_known(seed):
-    information = definite(seed)
-    covariance = covariance_of(information)
-    assert np.isfinite(covariance).all()
+@pytest.mark.parametrize(('rows', 'known'), [
+    ([[1.0, 0.0, 0.0], [1e-4, 1e-4, 0.0], [0.0, 0.0, 2e4]], [True, True, True]),
+    ([[1.0, 1.0, 0.0], [0.0, 0.0, 2.0]], [False, False, True]),
+    ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0]], [True, True, False])])
+def test_a_covariance_is_the_inverse_where_all_is_known(rows, known):
+    """A known sum does not determine its terms, and nothing about one determines none."""
+    information = np.transpose(rows) @ rows
     size = np.sqrt(np.diag(information))
-    assert_allclose(covariance * np.outer(size, size), np.linalg.inv(
-        information / np.outer(size, size)), rtol=1e-8, atol=1e-10)
-
-
-def test_nothing_about_one_is_an_infinite_variance():
-    information = definite(1)
-    information[2] = information[:, 2] = 0.0
-    covariance = covariance_of(information)
-    assert covariance[2, 2] == np.inf
-    assert np.all(covariance[2, [0, 1, 3, 4]] == 0.0)
-    others = [0, 1, 3, 4]
-    assert_allclose(
-        covariance[np.ix_(others, others)],
-        np.linalg.inv(information[np.ix_(others, others)]), rtol=1e-6)
-
-
-def test_a_known_sum_does_not_determine_its_terms():
-    """Know a + b and c: neither a nor b is identifiable."""
-    rows = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
-    covariance = covariance_of(rows.T @ rows)
-    assert np.isinf(np.diag(covariance)).tolist() == [True, True, False]
-    assert_allclose(covariance[2, 2], 0.25)
-
-
-def test_no_quantity_is_identifiable():
-    assert np.all(np.isinf(np.diag(covariance_of(np.zeros((3, 3))))))
+    inverse, mask, _ = inverted(information, np.where(size > 0.0, size, np.inf))
+    assert mask.tolist() == known
+    chosen = np.ix_(mask, mask)
+    assert_allclose(inverse[chosen], np.linalg.inv(information[chosen]), rtol=1e-6, atol=1e-12)
+    covariance = with_unidentifiable(inverse, ~mask)
+    assert np.isinf(np.diag(covariance)).tolist() == (~mask).tolist()
+    assert not np.any(covariance[~mask][:, mask])

@@ -2,9 +2,8 @@
 
 import functools
 
-from bellows_ros.core.identification.least_squares import least_squares, statistics
-from bellows_ros.core.identification.output_error import output_error
-from bellows_ros.core.identification.samples import samples_of
+from bellows_ros.core.identification.fitting import output_error
+from bellows_ros.core.identification.least_squares import least_squares, samples_of, statistics
 from bellows_ros.core.identification.segments import MeasuredSegment
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate

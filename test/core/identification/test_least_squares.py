@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-from bellows_ros.core.identification.result import definiteness_findings
-from bellows_ros.core.identification.samples import (
+from bellows_ros.core.identification.least_squares import (
     lip_relative,
     needed_wrench,
     Samples,
     samples_of,
 )
+from bellows_ros.core.identification.result import definiteness_findings
 from bellows_ros.core.model.cup_package import Cup, regressor
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
@@ -107,7 +107,6 @@ def test_equals_the_printed_solution_with_the_printed_weights(exact, name):
     K, P = structure.matrices(x)
     assert_allclose(fit.stiffness, K, rtol=1e-7, atol=1e-6)
     assert_allclose(fit.damping, P, rtol=1e-7, atol=1e-7)
-    assert_allclose(fit.weight, W, rtol=1e-9, atol=1e-9)
 
 
 def test_standard_errors_are_those_of_repeated_noise(round_cup):
@@ -121,14 +120,6 @@ def test_standard_errors_are_those_of_repeated_noise(round_cup):
     stated = np.mean(variances, axis=0, where=known)
     # a variance from 60 repetitions is known to 18 %, the mean of the stated ones to less
     assert_allclose(np.var(found, axis=0, ddof=1) / stated, 1.0, atol=0.6)
-
-
-def test_one_window_gives_no_standard_error(round_cup):
-    short = first(replace(noisy(round_cup, np.random.default_rng(6)), window=0.1), 9)
-    fit = simulated.least_squares([short], 0.0481, STRUCTURES['axisymmetric'])
-    assert np.all(np.isinf(np.diag(fit.covariance)))
-    assert np.all(np.isinf(np.diag(fit.stiffness_std)))
-    assert [each.code for each in fit.notes] == ['not_identifiable']
 
 
 def test_noise_of_motion_capture_biases_little():

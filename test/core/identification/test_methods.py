@@ -3,11 +3,10 @@
 from contextlib import nullcontext
 from dataclasses import replace
 
-from bellows_ros.core.identification import methods
-from bellows_ros.core.identification.least_squares import statistics
-from bellows_ros.core.identification.methods import fit, start_cup
+from bellows_ros.core.identification import fitting
+from bellows_ros.core.identification.fitting import fit, start_cup
+from bellows_ros.core.identification.least_squares import samples_of, statistics
 from bellows_ros.core.identification.result import Cause
-from bellows_ros.core.identification.samples import samples_of
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
@@ -48,12 +47,12 @@ def test_motion_is_too_little_where_neither_a_misfit_nor_noise_hides_the_damping
 ):
     """Noise may hide the damping of a stiff cup that no weight turns: then its K rz is known."""
     recording = simulated.record(simulated.shake(seed=3))
-    found = methods.fitted([recording], VALUES)
+    found = fitting.fitted([recording], VALUES)
     unknown = replace(
         found, method='output_error', robust_chi2=chi2,
         causes=(Cause('length', '', certain=certain),), covariance=np.diag([
             (std * x) ** 2 if label == 'K rz' else np.inf
             for label, x in zip(found.labels, found.parameters, strict=True)]))
-    monkeypatch.setattr(methods, 'fitted', lambda *own, **more: unknown)
+    monkeypatch.setattr(fitting, 'fitted', lambda *own, **more: unknown)
     with ends:
         assert fit([recording], VALUES) is unknown

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.samples import envelope, Samples
+from bellows_ros.core.identification.least_squares import envelope, Samples
 from bellows_ros.core.model import validity_range
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope, outside_loads

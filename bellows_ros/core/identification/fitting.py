@@ -1,5 +1,7 @@
 """
-Output error: K and P by simulation, with their uncertainty and the causes of a misfit.
+The fit of a cup to recordings by the method in `fit.method`, with its uncertainty.
+
+Output error is a fit by simulation.
 
 From the minimum on, given quantities are estimated jointly with K and P, with their standard
 deviations as priors. Their errors are part of the covariance: mass, inertia, K and P scaled by one
@@ -8,53 +10,71 @@ factor give equal motion, so that K is as uncertain as the mass.
 Two clocks, two worlds and a marker anywhere on the package are also estimated, from one recording.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import groupby
+from functools import partial
+from itertools import count, groupby
 import math
-from operator import attrgetter
+from operator import attrgetter, getitem
 from typing import Any, NamedTuple
 
-from bellows_ros.core import findings
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
-from bellows_ros.core.identification.causes import is_explained, likeliest_setting, rank
+from bellows_ros.core.identification.causes import causes_of
 from bellows_ros.core.identification.estimate import (
-    approach,
     MAX_NOISE_CHI2,
     minimise,
+    no_report,
     Parts,
     Report,
     settled,
     Solution,
 )
-from bellows_ros.core.identification.information import inverted, with_unidentifiable
-from bellows_ros.core.identification.pool import Held, here
-from bellows_ros.core.identification.quantities import (
-    Free,
-    KINDS,
-    NOTHING,
-    STRETCH_UNITS,
-    weak_prior,
+from bellows_ros.core.identification.least_squares import (
+    least_squares,
+    samples_of,
+    Statistics,
+    statistics,
+)
+from bellows_ros.core.identification.pool import (
+    AnyRecording,
+    Held,
+    here,
+    reduced,
+    whole_recordings,
 )
 from bellows_ros.core.identification.residuals import at_rest
 from bellows_ros.core.identification.result import (
-    Cause,
     CHANCE,
     Fit,
-    Freed,
-    Iteration,
+    inverted,
     MAX_RELATIVE_ERROR,
-    remedy_for,
+    not_identifiable,
+    with_unidentifiable,
 )
 from bellows_ros.core.identification.segments import (
     measured_segments,
     MeasuredSegment,
+    Segments,
     segments_of,
 )
-from bellows_ros.core.identification.unknowns import DEFAULT_RATIO, Problem, RATIO_STD
+from bellows_ros.core.identification.unknowns import (
+    DEFAULT_RATIO,
+    Free,
+    given_std,
+    KINDS,
+    MARKERS,
+    NOTHING,
+    Problem,
+    RATIO_STD,
+    STRETCH_UNITS,
+    weak_prior,
+)
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.model.structure import has_coupling, require_stretch, Structure
-from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.model.structure import AUTO, has_coupling, require_stretch, Structure
+from bellows_ros.core.parameters.conversion import given_structure, one_cup_of, richest_structure
+from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.recording import LOW_RATE_HZ, Recording
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
@@ -93,12 +113,6 @@ predicted to 7 %; with tilts up to 20 degrees half of the misfit remains, and th
 COMMON_WEIGHT = 10.0
 """Weight of the scatter common to all parameters, in segments of the recordings."""
 
-LEAST_OF_SETTING = 4.0
-"""
-Smallest chi² per residual with a wrong world, or a frame rotated by 90 degrees: the mean over
-axes, and the robust value of the worst axis.
-"""
-
 HELD_OUT = 5
 """Number of seconds of a recording per held-out second."""
 
@@ -110,7 +124,7 @@ def output_error(
     measured: Held | Sequence[MeasuredSegment],
     structure: Structure,
     start: Cup,
-    progress: Callable[[Iteration], None] | None = None,
+    progress: Report = no_report,
     free: Free = NOTHING,
     named: Sequence[str] = (),
     relaxation: str = 'off',
@@ -133,7 +147,7 @@ def output_error(
     start : Cup
         Initial guess, definite, with the cup length l0.
     progress : callable, optional
-        Callback after every iteration.
+        Callback with the cup and chi^2 per residual after every step.
     free : mapping, optional
         Standard deviations, SI units, of quantities of `KINDS` without a given value.
     named : sequence of str
@@ -160,38 +174,22 @@ def output_error(
         If relaxation or stretch is 'on' and is not significant.
 
     """
-    iterations = list[Iteration]()
-
-    def record(cup: Cup, chi2: float) -> None:
-        iterations.append(Iteration(len(iterations), chi2, cup.stiffness, cup.damping))
-        if progress is not None:
-            progress(iterations[-1])
-
     held = measured if isinstance(measured, Held) else here([
         segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
     problem = Problem.of(held, structure, start, free, common=common,
                          standstills=tuple(standstills))
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
     problem = replace(problem, free={**given, **free})
-    near = approach(problem, record)
-    found = settled(near, record)
+    found = minimise(problem, progress)
     if not found.is_plausible and other_start is not None:
-        other = minimise(problem.from_cup(other_start), record)
+        other = minimise(replace(problem, guess=other_start), progress)
         found = other if other.is_plausible else found
-    found = _extended(found, _extensions(richer, stretch, relaxation), record)
-    if found.worst_chi2 * max(found.learned, 1.0) > LEAST_OF_SETTING and (
-            setting := likeliest_setting(near, other_start or start)):
-        return _fit(replace(found, converged=False), iterations, named, given, (setting,))
-    reasons = () if is_explained(found, given) else rank(found, given)
-    return _fit(found, iterations, named, given, reasons)
-
-
-NOT_RELAXING = (
-    'fit.relaxation: the recordings show no relaxation that exceeds its standard error. Hold a '
-    'tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
-NOT_STRETCHING = (
-    'fit.stretch: the recordings show no stretch that exceeds its standard error. Record two '
-    'masses that differ by a factor of two, or set fit.stretch: auto.')
+    for extension in _extensions(richer, stretch, relaxation):
+        wider = _tried(found, extension, progress)
+        if wider is None and extension.refusal:
+            raise UndeterminedError(extension.refusal)
+        found = wider or found
+    return _fit(found, named, given)
 
 
 class Extension(NamedTuple):
@@ -214,27 +212,19 @@ def _extensions(richer: Structure | None, stretch: str, relaxation: str) -> Iter
         yield Extension({}, richer, lambda end, _: has_coupling(end.cup.stiffness))
     if stretch != 'off':
         yield Extension(weak_prior(['stretch']), None, *(
-            (_is_passive, NOT_STRETCHING) if stretch == 'on' else (_extrapolates,)))
+            (_is_passive, 'fit.stretch: the recordings show no stretch that exceeds its standard '
+             'error. Record two masses that differ by a factor of two, or set fit.stretch: auto.')
+            if stretch == 'on' else (_extrapolates,)))
     if relaxation != 'off':
-        yield Extension(weak_prior(['relaxation']), None, _explains_most,
-                        NOT_RELAXING if relaxation == 'on' else '')
+        yield Extension(weak_prior(['relaxation']), None, _explains_most, (
+            'fit.relaxation: the recordings show no relaxation that exceeds its standard error. '
+            'Hold a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
+            if relaxation == 'on' else '')
 
 
-def _extended(
-    found: Solution, extensions: Iterable[Extension], report: Report
-) -> Solution:
-    """Return the solution of nested models, each extension kept if significant."""
-    for extension in extensions:
-        before = found
-        found = _tried(found, extension, report)
-        if extension.refusal and found is before:
-            raise UndeterminedError(extension.refusal)
-    return found
-
-
-def _tried(found: Solution, extension: Extension, report: Report) -> Solution:
+def _tried(found: Solution, extension: Extension, report: Report) -> Solution | None:
     """
-    Return the solution with an extension of the spring if significant, else without.
+    Return the solution with an extension of the spring if significant.
 
     The covariance is from a jackknife, so that held-out motion confirms the extension.
     """
@@ -248,14 +238,14 @@ def _tried(found: Solution, extension: Extension, report: Report) -> Solution:
     H, g = near.information, near.slope
     rest = ~np.isin(np.arange(len(g)), place(near.problem))
     if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
-        return found
+        return None
     end = settled(near, report)
     if end.converged and end.misfit < found.misfit and holds(end, found):
         x, tested = end.problem.reported(end.theta), place(end.problem)
         C = covariance_of(end)[0][np.ix_(tested, tested)]
         if float(x[tested] @ np.linalg.solve(C, x[tested])) > MIN_SQUARED_DISTANCE:
             return end
-    return found
+    return None
 
 
 def _is_passive(found: Solution, _: Solution) -> bool:
@@ -371,10 +361,7 @@ def _relative_variances(count: int, squares: Array) -> Array:
     return np.asarray((COMMON_WEIGHT * common + count * scatter) / (COMMON_WEIGHT + count))
 
 
-def _fit(
-    found: Solution, iterations: list[Iteration], named: Sequence[str], given: Free,
-    reasons: tuple[Cause, ...],
-) -> Fit:
+def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
     """Return the result of a solution, with the covariance of identifiable parameters."""
     problem, size, x = found.problem, found.problem.count, found.problem.reported(found.theta)
     covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
@@ -391,29 +378,28 @@ def _fit(
         samples_used=used,
         samples_rejected=poses - used,
         condition_number=inverted(information, np.sqrt(np.diag(information)))[2],
-        weight=np.diag(1.0 / found.mean_square),
         residual_rms=np.sqrt(found.mean_square),
         notes=tuple(notes),
-        misfit=findings.Finding('misfit', findings.Level.WARN, {'chi2': found.robust_chi2}) if (
+        misfit=Finding('misfit', Level.WARN, {'chi2': found.robust_chi2}) if (
             found.robust_chi2 > MAX_NOISE_CHI2) else None,
         chi2=found.squares / max(found.residual_count - len(x), 1),
         robust_chi2=found.robust_chi2 * max(found.learned, 1.0),
         converged=found.converged,
-        iterations=tuple(iterations),
-        causes=reasons,
+        causes=causes_of(found, given),
         standstills=(len(problem.standstills), at_rest(
             problem.local, found.theta[problem.index(0)])[2]) if problem.standstills else None,
         noise_in_motion=found.noise_in_motion,
         stretch=problem.stretch(found.theta),
+        named=tuple(named),
         **_of_quantities(problem, x, own_std, np.pad(
-            np.diag(from_given), (0, problem.own.size)), named))
+            np.diag(from_given), (0, problem.own.size))))
     if 'relaxation' in problem.places:
         fit = _relaxed(fit, found, covariance)
-    return fit if found.converged else replace(fit, notes=(findings.Finding('not_converged'),))
+    return fit if found.converged else replace(fit, notes=(Finding('not_converged'),))
 
 
 def _of_quantities(
-    problem: Problem, x: Array, std: Array, from_given: Array, named: Sequence[str]
+    problem: Problem, x: Array, std: Array, from_given: Array
 ) -> dict[str, Any]:
     """
     Return the fields of a fit on quantities beside K and P.
@@ -422,16 +408,9 @@ def _of_quantities(
     (m,) by given quantities.
     """
     places, total_std = problem.places, np.sqrt(std**2 + from_given)
-    results = [name for name in places if name in named and not KINDS[name].each]
     nuisances = {name: place for name, place in places.items()
-                 if name not in ('relaxation', 'stretch', *results)}
-    offsets = np.ravel(places['time_offset']) if 'time_offset' in named else slice(0)
+                 if name not in ('relaxation', 'stretch')}
     return {
-        'delays': tuple(x[offsets].tolist()),
-        'delays_std': tuple(std[offsets].tolist()),
-        'freed': tuple(
-            Freed(name, *(tuple(each[places[name][0]].tolist()) for each in (x, total_std)))
-            for name in results),
         'nuisances': {name: x[place] for name, place in nuisances.items()},
         'nuisances_std': {name: total_std[place] for name, place in nuisances.items()},
         'stretch_std': _pair(std[places['stretch'][0]] * STRETCH_UNITS) if (
@@ -446,7 +425,7 @@ def _relaxed(fit: Fit, found: Solution, covariance: Array) -> Fit:
     is_assumed = np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]
     return replace(
         fit, relaxation=_pair(strengths), relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
-        notes=(*fit.notes, *[findings.Finding(
+        notes=(*fit.notes, *[Finding(
             'no_hold', numbers={'assumed': ': r2 is assumed'})] * bool(is_assumed)))
 
 
@@ -458,7 +437,7 @@ def _pair(values: Array) -> tuple[float, float]:
 
 def _identifiable(
     found: Solution, given: Free, named: Sequence[str]
-) -> tuple[Array, Array, Array, Mask, list[findings.Finding]]:
+) -> tuple[Array, Array, Array, Mask, list[Finding]]:
     """
     Return the covariances (s, s) by recordings alone and by given quantities.
 
@@ -490,7 +469,7 @@ def _identifiable(
 
 def _unidentifiable(
     problem: Problem, label: str, alone: float, total: float
-) -> findings.Finding:
+) -> Finding:
     """
     Return the finding on an unidentifiable number.
 
@@ -503,8 +482,7 @@ def _unidentifiable(
         why = f'its damping is not, and its standard error of {error:.2g} % may be due to noise'
     given = ', and measure package, cup.length and markers more exactly (package.com_std, ' \
             'cup.length_std, recording.marker_std)' if alone <= 1.0 < total else ''
-    return findings.Finding('not_identifiable', findings.Level.WARN, {
-        'label': label, 'why': why, 'how': remedy_for(label, problem.structure), 'given': given})
+    return not_identifiable(label, problem.structure, why, given)
 
 
 def registered(
@@ -532,3 +510,149 @@ def registered(
     raise UndeterminedError(
         f'{names} cannot be found: the search did not converge. Check package.mass and '
         'package.com, and tilt and turn the tool more.')
+
+
+Progress = Callable[[str, float], None]
+
+TYPICAL_STEPS = 12
+"""Typical number of steps of a fit by simulation."""
+
+MAX_DAMPING_STD = 0.25
+"""Largest relative standard error of the most certain damping of a moving cup."""
+
+UNLOADED_PARAMETER = 'K rz'
+"""The stiffness that no weight loads: it also shows that the cup moves."""
+
+MAX_MISFIT_TO_NOISE = 2.0
+"""Largest ratio of misfit and noise for output error, in residuals and standstills."""
+
+Pair = tuple[Segments, Statistics]
+"""The segments of a recording, empty for least squares, and its statistics."""
+
+
+def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
+    """Return the parts of a recording for a fit."""
+    is_simulated, structure = values.fit.method == 'output_error', given_structure(values)
+    return (
+        segments_of(measured_segments(recording, number)) if is_simulated else (),
+        recording.cached(('statistics', values.cup.length, structure), partial(
+            statistics, samples_of(recording), values.cup.length, structure,
+            recording.noise)))
+
+
+def fit(
+    recordings: Sequence[AnyRecording],
+    values: Values,
+    progress: Progress | None = None,
+    standstills: Sequence[Standstill] = (),
+    pairs: Held | None = None,
+) -> Fit:
+    """
+    Fit a cup to recordings, as the parameters specify.
+
+    Results that do not depend on the parameters are cached with the recordings, for later calls
+    with other parameters.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording or ReducedRecording
+        Recordings of one cup.
+    values : mapping
+        Parameters by name: fit.*, cup.*, gravity.
+    progress : callable, optional
+        Callback with the current step and its completed fraction (0 to 1).
+    standstills : sequence of Standstill
+        Standstills of the cup, whose balance is part of a fit by output error.
+    pairs : Held, optional
+        Pairs of `pair_of`, necessary for reduced recordings.
+
+    Raises
+    ------
+    BellowsError
+        If the recordings do not determine the cup.
+
+    """
+    result = fitted(recordings, values, progress, pairs, standstills=standstills)
+    unknown = [name for name in result.named if not KINDS[name].each and not np.all(
+        np.isfinite(result.nuisances_std[name]))]
+    if result.converged and unknown:  # they keep their given values
+        known = values.replaced({'fit.free': tuple(set(values.fit.free) - {*unknown})})
+        result = fit(recordings, known, progress, standstills, pairs)
+        return replace(result, notes=(*result.notes, Finding('not_freed', Level.WARN, {
+            'names': ', '.join(unknown)})))
+    _require_motion(result)
+    if result.standstills and result.standstills[1] > MAX_MISFIT_TO_NOISE**2:
+        result = replace(result, notes=(
+            *result.notes, Finding('disagreement', Level.WARN, {'chi2': result.standstills[1]})))
+    return result
+
+
+def _require_motion(result: Fit) -> None:
+    """Raise if the recordings determine no entry of P."""
+    largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
+    explained = max(result.chi2 or 0.0, result.robust_chi2 or 0.0) <= (
+        MAX_MISFIT_TO_NOISE**2) and not any(
+        cause.certain for cause in result.causes)  # otherwise errors of the misfit
+    certain = [label for label, value, std in zip(
+        result.labels, result.parameters, np.sqrt(np.diag(result.covariance)), strict=True)
+        if std < np.inf and std <= largest * abs(value)]
+    if result.converged and explained and not any(
+            label[0] == 'P' or label == UNLOADED_PARAMETER for label in certain):
+        raise BellowsError(
+            'The recordings contain too little motion: damping is not identifiable from them, '
+            f'nor {UNLOADED_PARAMETER}, which no weight loads. Move the tool in all directions at '
+            '1-3 Hz, and along the cup at 4-6 Hz; standstills are for static.bags.')
+
+
+def _report(progress: Progress, steps: Iterator[int], cup: Cup, chi2: float) -> None:
+    """Report a step of a search."""
+    step = next(steps)
+    K, P = (' '.join(f'{x:.3g}' for x in np.diag(matrix))
+            for matrix in (cup.stiffness, cup.damping))
+    progress(f'step {step}: chi^2 {chi2:.4g}; K {K}, P {P}', step / (step + TYPICAL_STEPS))
+
+
+def fitted(
+    recordings: Sequence[AnyRecording], values: Values, progress: Progress | None = None,
+    pairs: Held | None = None, exactly: bool = False, standstills: Sequence[Standstill] = (),
+) -> Fit:
+    """
+    Return the fit to recordings.
+
+    A fit by simulation estimates all uncertain quantities jointly with K and P, or takes given
+    quantities as exact, so that the causes of a misfit are found.
+    """
+    if pairs is None:
+        pairs = here([
+            pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))])
+    structure, sums = given_structure(values), pairs.pool.results(getitem, pairs, 1)
+    if values.fit.method == 'least_squares':
+        return least_squares(sums)
+    start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
+    parts = [reduced(recording, values.cup.length) for recording in recordings]
+    if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
+        start = start_cup(sums, start)
+    named = tuple(dict.fromkeys([
+        *values.fit.free, *['package_world'] * any(part.package_world for part in parts)]))
+    return output_error(
+        pairs.pool.keep(getitem, pairs, 0), structure, start,
+        partial(_report, progress, count(1)) if progress else no_report, weak_prior(named), named,
+        values.fit.relaxation, {} if exactly else given_std(values), given,
+        richest_structure(values) if values.fit.structure == AUTO else None,
+        'off' if structure.places else values.fit.stretch,
+        MARKERS if values.recording.marker == 'shared' else (), standstills)
+
+
+def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
+    """
+    Return the initial cup of output error, by least squares of few parameters.
+
+    Unidentifiable or negative entries are taken from the given cup.
+    """
+    result = least_squares(parts)
+    stiffness, damping = (
+        np.where(np.isfinite(error) & (value >= 0.0), value, instead)
+        for value, error, instead in (
+            (result.stiffness, result.stiffness_std, given.stiffness),
+            (result.damping, result.damping_std, given.damping)))
+    return replace(given, stiffness=stiffness, damping=damping)
