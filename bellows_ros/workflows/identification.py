@@ -10,8 +10,8 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.pool import ReducedRecording
 from bellows_ros.core.identification.result import Fit, parameter_units
+from bellows_ros.core.identification.segments import ReducedRecording
 from bellows_ros.core.identification.unknowns import as_found, KINDS
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.structure import structure_named

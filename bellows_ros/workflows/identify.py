@@ -18,7 +18,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core import configure_process, usable_cores
 from bellows_ros.core.identification import fitting
-from bellows_ros.core.identification.pool import (
+from bellows_ros.core.identification.segments import (
     AnyRecording,
     Held,
     here,

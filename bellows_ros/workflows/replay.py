@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import pool, result
+from bellows_ros.core.identification import result, segments
 from bellows_ros.core.identification.validation import (
     corner_scores,
     CornerScores,
@@ -341,7 +341,7 @@ def validated(values: Values, recording: Recording) -> Replay:
     found = [*validation.findings]
     valid = conversion.parameter_envelope(values)
     outside = validity_range.beyond(
-        valid, pool.envelope_of(recording, values.cup.length)) if valid else []
+        valid, segments.envelope_of(recording, values.cup.length)) if valid else []
     if outside:
         found.append(Finding('outside', Level.WARN, {'ranges': outside}))
     if is_worse:

@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification import residuals
-from bellows_ros.core.identification.pool import Held
 from bellows_ros.core.identification.residuals import HUBER_STD, Part
 from bellows_ros.core.identification.result import Arrow, CHANCE, symmetric_roots
-from bellows_ros.core.identification.segments import Course, Segments
+from bellows_ros.core.identification.segments import Course, Held, Segments
 from bellows_ros.core.identification.unknowns import Free, MIN_STRENGTH, Problem
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure

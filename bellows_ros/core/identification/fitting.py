@@ -36,13 +36,6 @@ from bellows_ros.core.identification.least_squares import (
     Statistics,
     statistics,
 )
-from bellows_ros.core.identification.pool import (
-    AnyRecording,
-    Held,
-    here,
-    reduced,
-    whole_recordings,
-)
 from bellows_ros.core.identification.residuals import at_rest
 from bellows_ros.core.identification.result import (
     CHANCE,
@@ -53,10 +46,15 @@ from bellows_ros.core.identification.result import (
     with_unidentifiable,
 )
 from bellows_ros.core.identification.segments import (
+    AnyRecording,
+    Held,
+    here,
     measured_segments,
     MeasuredSegment,
+    reduced,
     Segments,
     segments_of,
+    whole_recordings,
 )
 from bellows_ros.core.identification.unknowns import (
     DEFAULT_RATIO,

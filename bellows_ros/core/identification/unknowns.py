@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.identification.pool import Held, here
 from bellows_ros.core.identification.result import Arrow, MAX_RELATIVE_ERROR, symmetric_roots
 from bellows_ros.core.identification.segments import (
+    Held,
+    here,
     MeasuredSegment,
     Outline,
     outline_of,

@@ -1,6 +1,6 @@
 """Functions of recordings run where these are, and their sums have one order."""
 
-from bellows_ros.core.identification.pool import here
+from bellows_ros.core.identification.segments import here
 from bellows_ros.errors import BellowsError
 import pytest
 
