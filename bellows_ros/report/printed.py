@@ -66,7 +66,7 @@ def print_info(result: Info, out: Any, file: str = '') -> None:
         sets(each)) == is_open] for is_open in (False, True))
     for title, lines in (
             (f'Set in {file}:' if file else 'Settings for --write-params:', [
-                *(f'{name}: {value}' for name, value in found.items()),
+                *(f'{name}: {value or repr(value)}' for name, value in found.items()),
                 *(text_of(each._replace(level=Level.OK)) for each in settled)]),
             ('To do:', [*map(text_of, open_ones)])):
         out.line()
