@@ -469,15 +469,23 @@ def _registered(
             settings.tag, noise=CornerNoise(*found.noise_in_motion[0].tolist())))
     marker, _ = estimates.get('package_marker', (np.zeros(6), None))
     recording = filtered(_realigned(recording.alignment, marker))
-    (offset,), (std,) = estimates.get('time_offset', (np.zeros(1), np.array([np.inf])))
-    if std < KINDS['time_offset'].max_std:
-        recording = with_tool_earlier(recording, float(offset))
-        changes['time_offset'] = TimeOffset(rough_s + float(offset), float(std))
-    elif is_late:
-        changes['remarks'] = (*recording.report.remarks, Finding('not_identifiable', numbers={
-            'label': 'The time offset', 'why': 'the recorded stamps are used unchanged',
-            'how': 'Record a motion that is richer in all directions'}))
+    if is_late:
+        recording, more = _on_one_clock(recording, rough_s, *estimates.get(
+            'time_offset', (np.zeros(1), np.array([np.inf]))))
+        changes |= more
     return replace(recording, report=replace(recording.report, **changes))
+
+
+def _on_one_clock(
+    recording: Recording, rough_s: float, offset: Array, std: Array
+) -> tuple[Recording, dict[str, Any]]:
+    """Return a recording without the estimated offset (1,) of its clocks, s, and the report."""
+    if std[0] < KINDS['time_offset'].max_std:
+        return with_tool_earlier(recording, float(offset[0])), {
+            'time_offset': TimeOffset(rough_s + float(offset[0]), float(std[0]))}
+    return recording, {'remarks': (*recording.report.remarks, Finding('not_identifiable', numbers={
+        'label': 'The time offset', 'why': 'the recorded stamps are used unchanged',
+        'how': 'Record a motion that is richer in all directions'}))}
 
 
 def _is_marked(settings: PrepareSettings, values: Values) -> bool:

@@ -48,7 +48,7 @@ def test_a_recording_without_an_identifiable_offset_keeps_its_stamps(root, value
     at_rest = values.replaced({'fit.free': ('time_offset',), 'recording.end': 1.9})
     recording = load(root / 'bags/static', at_rest)
     assert recording.report.time_offset is None
-    assert any('stamps were used unchanged' in warning for warning in recording.report.warnings)
+    assert any('stamps are used unchanged' in warning for warning in recording.report.warnings)
 
 
 def test_a_part_of_a_recording_is_what_lies_there(root, values):
