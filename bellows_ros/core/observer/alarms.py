@@ -20,24 +20,17 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import Vector, ZERO
 from bellows_ros.core.model.equilibrium import pose_error
-from bellows_ros.core.model.kernels import State
 from bellows_ros.core.model.simulation import row_state
+from bellows_ros.core.observer.measurement import Corrected, SHARES
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 LOST, DEVIATES, DIFFERS = KINDS = 'lost', 'deviates', 'differs'
 """Kinds of alarms."""
 
-COUNTS: Array = np.array([3.0, 9.0, 24.0, 66.0])
-"""Numbers of poses of the moving means: a push, and shifts of 1, 0.6 and 0.4 standard deviations
-at the threshold."""
-
 VIEW_NS = 3_000_000_000
 """Shortest duration of a deviation of a tag, ns: its errors last as long as a view and its blur,
 and work changes both within this time."""
-
-USUAL = 16.81
-"""Normalised square of a mean that is usual: 99 % of chi^2 of 6."""
 
 KNOWN_COUNT = 33
 """Number of measurements from which the noise is known to 12 %, a second of a usual camera."""
@@ -51,9 +44,6 @@ SIGNIFICANCE = 5.0
 
 DIFFERING = 3
 """Number of successive poses in which it differs; a change within one pose is an outlier's."""
-
-LEAST_KNOWN = 1e-3
-"""Smallest fraction of a variance by which poses must reduce it; rounding hides less."""
 
 MAX_FALL_NS = 300_000_000
 """Longest tested fall, ns: 0.44 m, below which a camera sees the package out of reach."""
@@ -106,78 +96,22 @@ class Alarm(NamedTuple):
             'y': y, 'origin': self.shown_by}, self.parameter)
 
 
-class Innovation(NamedTuple):
-    """A measured pose at the predicted pose."""
-
-    stamp_ns: int
-    body: State
-    """Predicted package."""
-    z: Array
-    """Whitened innovation (6,)."""
-    whitener: Array
-    """Triangular matrix (6, 6)."""
-
-
-class Evidence(NamedTuple):
-    """Evidence of deviations after a measurement."""
-
-    means: Array = np.zeros((len(COUNTS), 6))
-    """Moving means of whitened innovations."""
-    poses: int = 0
-    """Number of poses since the start or an alarm."""
-    since_ns: int = 0
-    """Stamp of the last usual means, ns."""
-    differing: int = 0
-    """Number of successive poses in which a parameter differs."""
-    seen: Innovation | None = None
-    """The last measured pose."""
-
-    @property
-    def squares(self) -> Array:
-        """Normalised squares of the means (4,)."""
-        spread = 1.0 - (1.0 - 1.0 / COUNTS) ** (2.0 * max(self.poses, 1))
-        return np.asarray((2.0 * COUNTS - 1.0) / spread * np.square(self.means).sum(axis=1))
-
-    def after(self, seen: Innovation, z: Array) -> Evidence:
-        """Return the evidence after another pose, with the innovation that counts."""
-        more = self._replace(means=self.means + (z - self.means) / COUNTS[:, None],
-                             poses=self.poses + 1, seen=seen)
-        usual = more.squares.max() <= USUAL
-        return more._replace(since_ns=seen.stamp_ns) if usual or not self.since_ns else more
-
-
-def threshold(false_per_hour: float, period: float) -> float:
+def is_deviation(square: float, false_per_hour: float, period: float) -> bool:
     """
-    Return the normalised square of a mean that poses exceed at an allowed rate.
+    Return whether usual poses exceed the normalised square of a mean less often than allowed.
 
     A mean of n poses is independent of the one n poses before. The probability that chi^2 of 6
     exceeds x is exp(-x/2) (1 + x/2 + x^2/8).
     """
-    p = false_per_hour * period / 3600.0 / float(np.sum(1.0 / COUNTS))
-    x = USUAL
-    for _ in range(20):  # each step reduces the error threefold
-        x = 2.0 * math.log((1.0 + 0.5 * x + 0.125 * x * x) / min(p, 1.0))
-    return x
+    chance = math.exp(-0.5 * square) * (1.0 + 0.5 * square + 0.125 * square * square)
+    return bool(chance * SHARES.sum() * 3600.0 < false_per_hour * period)
 
 
-def deviation(seen: Innovation, z: Array, since_ns: int) -> Alarm:
+def deviation(seen: Corrected, z: Array, since_ns: int) -> Alarm:
     """Return the alarm on poses that deviate by a whitened innovation (6,) since a stamp (ns)."""
-    shift, rotation = (t3.apply(t3.rotation_matrix(seen.body[1]), (a, b, c))
+    shift, rotation = (t3.apply(t3.rotation_matrix(seen.exposed[1]), (a, b, c))
                        for a, b, c in np.linalg.solve(seen.whitener, z).reshape(2, 3).tolist())
     return Alarm(seen.stamp_ns, DEVIATES, since_ns, shift, rotation)
-
-
-def significance(theta: Array, P: Array, prior: Array) -> Array:
-    """Return the changes of rows (k,) with variances P and prior variances, in deviations."""
-    gained = np.maximum(prior - P, 0.0)
-    out: Array = np.where(gained > LEAST_KNOWN * prior, np.abs(theta), 0.0) / np.sqrt(
-        np.maximum(gained, 1e-99))
-    return out
-
-
-def fall_threshold(false_per_hour: float, period: float) -> float:
-    """Return the log-likelihood ratio of a fall that poses exceed at an allowed rate."""
-    return math.log(3600.0 / (period * min(false_per_hour, 1.0)))
 
 
 @entry

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Vector, ZERO
 from bellows_ros.core.model.equilibrium import sag
-from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, State
+from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.observer import alarms, dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer import measurement as measured
-from bellows_ros.core.observer.alarms import Alarm, Evidence
-from bellows_ros.core.observer.filter import Estimate
+from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import changed_by, MeasuredPose
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
+from bellows_ros.core.observer.results import Estimate, Evidence, USUAL
 from bellows_ros.core.observer.states import KNOWN_ROWS, LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT, NEAR
 from bellows_ros.core.observer.track import Track
@@ -120,29 +120,6 @@ def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
     return max(stamp_ns - max(min(late_ns, most_ns), 0), before.stamp_ns)
 
 
-class Known(NamedTuple):
-    """Estimates that are kept for the next package or motion."""
-
-    theta: Array
-    """Rows of the error from `MASS` on (n - 12,)."""
-    covariance: Array
-    """Covariance of the error (n, n)."""
-    memory: Array
-    """Memory of the noise, see `correlations`."""
-
-    def with_rows(self, other: Known, rows: Any) -> Known:
-        """Return estimates with some rows (k,) of others, independent of the rest."""
-        rows = np.asarray(rows)[np.less(rows, len(other.covariance))]
-        n, block = max(len(self.covariance), 1 + rows.max(initial=0)), np.ix_(rows, rows)
-        theta, P = np.zeros(n - STATE), np.zeros((n, n))
-        theta[:len(self.theta)] = self.theta
-        P[:len(self.covariance), :len(self.covariance)] = self.covariance
-        theta[np.subtract(rows, STATE)] = other.theta[np.subtract(rows, STATE)]
-        P[rows, :], P[:, rows] = 0.0, 0.0
-        P[block] = other.covariance[block]
-        return Known(theta, P, other.memory)
-
-
 class Correction:
     """
     The filter of one model; each method takes an estimate and returns another.
@@ -161,8 +138,8 @@ class Correction:
 
     Attributes
     ----------
-    initial : Known
-        Prior of all estimates.
+    initial : Estimate
+        Prior of all estimates, without a motion.
     holding_reach : float
         Largest displacement (m) of the lip of a holding cup from its place without load.
     false_per_hour : float
@@ -183,7 +160,9 @@ class Correction:
         prior = np.diag(np.square(self.prior))
         prior[INERTIAS, INERTIAS] = stated.inertia
         n = states.ROWS_WITHOUT_SENSOR
-        self.initial = Known(np.zeros(n - STATE), prior[:n, :n].copy(), first_memory())
+        self.initial = Estimate(
+            0, ORIGIN, ORIGIN, np.zeros(n - STATE), prior[:n, :n].copy(), first_memory())
+        self._prior_of_differing = np.square(self.prior[DIFFERING_ROWS])
         self.largest = LARGEST.copy()
         self.weight = stated.weight
         self.largest[WRENCH_ROWS] *= stated.weight
@@ -206,15 +185,14 @@ class Correction:
             self.weight**2 * (normal + SLIDING**2 * across), np.square(moment) * across])
 
     def start(
-        self, stamp_ns: int, tool: State, body: State, initial: Known, on_support: bool = False,
+        self, stamp_ns: int, tool: State, body: State, initial: Estimate, on_support: bool = False,
     ) -> Estimate:
         """Return the initial estimate of a package at rest."""
         self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
-        theta, P, memory = initial
+        P = initial.covariance.copy()
         if on_support:
-            P = P.copy()
             P[:STATE, :STATE] = np.diag(np.square(ON_SUPPORT))
-        return Estimate(stamp_ns, tool, body, theta, P, memory)
+        return Estimate(stamp_ns, tool, body, initial.theta, P, initial.memory)
 
     def after_hanging(self, estimate: Estimate) -> Estimate:
         """Return the first estimate of a package that has hung at rest, with an exact model."""
@@ -243,14 +221,15 @@ class Correction:
             theta = theta.copy()
             theta[states.LATENCY - STATE] -= late
         result = measured.filter_step(
-            self.row, self.law, before.numbers(theta), track.samples, is_recorded, stamp_ns,
-            self.max_step, (self._drive, walk, self._marker[3][0]),
+            self.row, self.law, (*before[:3], theta, *before[4:6]), track.samples, is_recorded,
+            stamp_ns, self.max_step, (self._drive, walk, self._marker[3][0]),
             MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
-                self.holding_reach, self.largest, self._sag if support == NEAR else 0.0, gate),
+                self.holding_reach, self.largest, self._sag if support == NEAR else 0.0, gate,
+                evidence.means, self._prior_of_differing),
             evidence.poses < alarms.KNOWN_COUNT,
             before.memory[ekf.COUNT] < alarms.KNOWN_COUNT
-            or bool(evidence.squares.max() <= alarms.USUAL))
+            or bool(evidence.means[2].max() <= USUAL))
         _, tool, body, theta, P, memory = result.estimate
         theta[states.LATENCY - STATE] += late
         return result, before._replace(
@@ -259,7 +238,7 @@ class Correction:
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
-        return self._step(
+        return estimate if estimate.stamp_ns >= stamp_ns else self._step(
             estimate, track, stamp_ns, True, support=estimate.support)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
@@ -297,26 +276,23 @@ class Correction:
             before = self.released(before)
         support = max(support, CONTACT if support and before.support == CONTACT else 0)
         if not measurement.is_pose:
-            after = self._step(
-                before, track, measurement.stamp_ns, is_recorded, support=support)[1]
+            result, after = self._step(
+                before, track, measurement.stamp_ns, is_recorded, support=support)
             after = after._replace(support=support)
-            return after, '', self._differing(after, after.evidence)[1]
+            return after, '', self._differing(after, after.evidence, result.changes)[1]
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         result, after = self._step(
             before, track, stamp_ns, is_recorded, measurement, measured.GATE, support)
-        weight = math.sqrt(max(result.distance / measured.OUTLIER_DISTANCE, 1.0))
-        seen = alarms.Innovation(
-            stamp_ns, result.exposed, weight * result.z, weight * result.whitener)
         if result.verdict == measured.OUT_OF_REACH:
             return before._replace(
-                evidence=before.evidence._replace(seen=seen)), 'out_of_reach', None
+                evidence=before.evidence._replace(seen=result)), 'out_of_reach', None
         gated = (*before.gated_ns, stamp_ns) if result.verdict == measured.OUTSIDE else ()
         name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
         after = after._replace(
             gated_ns=gated, away_ns=before.away_ns if gated else 0, support=support,
             late_ns=measurement.stamp_ns - stamp_ns,
-            evidence=before.evidence._replace(seen=seen))
+            evidence=before.evidence._replace(seen=result))
         if support:
             after, alarm = self._touching(after), None
             known = KNOWN_ROWS[KNOWN_ROWS < len(before.covariance)]
@@ -324,7 +300,7 @@ class Correction:
             after.theta[known - STATE] = before.theta[known - STATE]
             after.covariance[block] = before.covariance[block]
         else:
-            after, alarm = self._judged(before, after, seen, result.z)
+            after, alarm = self._judged(before, after, result)
         if alarm is None and name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
         return after, name, alarm
@@ -399,7 +375,7 @@ class Correction:
         return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
     def _judged(
-        self, before: Estimate, after: Estimate, seen: alarms.Innovation, z: Array
+        self, before: Estimate, after: Estimate, seen: measured.Corrected
     ) -> tuple[Estimate, Alarm | None]:
         """Return an estimate with the evidence of a pose, and the alarm on it."""
         row, is_tag = states.LATENCY, self._marker[3][0]
@@ -409,24 +385,20 @@ class Correction:
             return self._renewed(after), None
         if is_tag and 0 < len(after.gated_ns) < alarms.BURST:
             return after, None
-        after, alarm = self._differing(after, before.evidence.after(seen, z))
-        allowed, memory, evidence = self.false_per_hour, after.memory, after.evidence
-        squares, lasted_ns = evidence.squares, seen.stamp_ns - evidence.since_ns
-        if alarm or not allowed or memory[ekf.COUNT] <= alarms.KNOWN_COUNT or (
-                squares.max() < alarms.threshold(allowed, memory[ekf.PERIOD])) or (
+        after, alarm = self._differing(after, before.evidence.after(seen), seen.changes)
+        memory, evidence, (means, _, squares) = after.memory, after.evidence, seen.means
+        lasted_ns = seen.stamp_ns - evidence.since_ns
+        if alarm or memory[ekf.COUNT] <= alarms.KNOWN_COUNT or not alarms.is_deviation(
+                squares.max(), self.false_per_hour, memory[ekf.PERIOD]) or (
                 is_tag and lasted_ns < alarms.VIEW_NS):
             return after, alarm
-        alarm = alarms.deviation(seen, evidence.means[squares.argmax()], evidence.since_ns)
+        alarm = alarms.deviation(seen, means[squares.argmax()], evidence.since_ns)
         return self._renewed(self._unsure(after, np.arange(STATE))), alarm
 
     def _differing(
-        self, estimate: Estimate, evidence: Evidence
+        self, estimate: Estimate, evidence: Evidence, sizes: Array
     ) -> tuple[Estimate, Alarm | None]:
         """Return an estimate with evidence and its count of a parameter that differs."""
-        rows = DIFFERING_ROWS
-        P, prior = (np.diag(each)[rows] for each in (
-            estimate.covariance, self.initial.covariance))
-        sizes = alarms.significance(estimate.theta[rows - STATE], P, prior)
         count = evidence.differing + 1 if sizes.max() > alarms.SIGNIFICANCE else 0
         estimate = estimate._replace(evidence=evidence._replace(differing=count))
         if count < alarms.DIFFERING or not self.false_per_hour:
@@ -460,14 +432,7 @@ class Correction:
 
     def _without_support(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the initial wrench."""
-        return self.rolled_back(estimate, self.initial, WRENCH_ROWS)._replace(contact=0.0)
-
-    def rolled_back(
-        self, estimate: Estimate, known: Known, rows: Any = KNOWN_ROWS
-    ) -> Estimate:
-        """Return an estimate with the kept rows of camera, cup and package, or some of them."""
-        kept = Known(estimate.theta, estimate.covariance, estimate.memory).with_rows(known, rows)
-        return estimate._replace(theta=kept.theta, covariance=kept.covariance)
+        return estimate.with_rows(self.initial, WRENCH_ROWS)._replace(contact=0.0)
 
     def _restarted(
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement

@@ -12,7 +12,7 @@ propagated at once.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
@@ -22,7 +22,6 @@ from bellows_ros.core.model.equilibrium import pose_error, substeps_for
 from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, write_row
 from bellows_ros.core.observer import dynamics
-from bellows_ros.core.observer.alarms import Evidence
 from bellows_ros.core.observer.states import MARKER, NOISE, STATE
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -80,44 +79,6 @@ COUNT = SAME + 1
 """Index in the memory of the noise: number of measurements from which the noise is known."""
 
 
-class Estimate(NamedTuple):
-    """The estimated package at one stamp."""
-
-    stamp_ns: int
-    tool: State
-    body: State
-    theta: Array
-    """Rows of the error from `MASS` on (n - 12,)."""
-    covariance: Array
-    """Covariance (n, n) of the error."""
-    memory: Array
-    """Memory (17,) of the noise, with indices from `PERIOD` on."""
-    evidence: Evidence = Evidence()
-    """Evidence of deviations."""
-    gated_ns: tuple[int, ...] = ()
-    """Stamps (ns) of consecutive measurements outside the gate."""
-    away_ns: int = 0
-    """Stamp of the first of consecutive measurements out of reach, after a measurement within
-    reach; 0 for none, -1 after an assessment."""
-    support: int = 0
-    """Whether a support was `NEAR` or in `CONTACT`; 0 without."""
-    contact: float = 0.0
-    """Log-likelihood ratio of a contact since its likeliest begin."""
-    late_ns: int = 0
-    """Shift of the last measurement before its stamp, ns."""
-    wrench_memory: tuple[float, ...] = ()
-    """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
-
-    @property
-    def moving(self) -> Moving:
-        """The moving package, as the kernels take it."""
-        return self.stamp_ns, self.tool, self.body, self.theta
-
-    def numbers(self, theta: Array) -> EstimateTuple:
-        """Return the kernels' form of the estimate, with a given theta."""
-        return self.stamp_ns, self.tool, self.body, theta, self.covariance, self.memory
-
-
 Samples = tuple[Any, Any, Any, Any, int]
 """
 Samples of the tool: arrays of stamps (ns), of tool states (13,) at begin and end of the motion
@@ -128,7 +89,7 @@ Moving = tuple[int, State, State, Array]
 """Fields of a moving package: stamp (ns), tool, package and theta."""
 
 EstimateTuple = tuple[int, State, State, Array, Array, Array]
-"""Beginning of an `Estimate`: `Moving`, covariance and memory."""
+"""Fields of an estimate: `Moving`, covariance and memory."""
 
 Noise = tuple[Array, Array, bool]
 """
@@ -407,32 +368,6 @@ def predicted(
 
 
 @entry
-def followed(
-    row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
-    stamp_ns: int, start: State, end: State, max_step: float, reach: float,
-) -> tuple[State, Wrench, bool]:
-    """Store another sample of the tool; return the package there, and `checked_wrench`."""
-    model, max_step = dynamics.model_at(row, law, theta), dynamics.stable_step(max_step, theta)
-    stamps, starts, ends, bodies, k = samples
-    stamps[k] = stamp_ns
-    write_row(starts[k], start)
-    write_row(ends[k], end)
-    seconds, tool, bias = (stamp_ns - stamps[k - 1]) / NS_PER_S, start, dynamics.wrench_bias(theta)
-    parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
-    part = seconds / parts
-    for i in range(parts):
-        tool_end = end
-        if i < parts - 1:
-            tool_end = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / parts)
-        body = dynamics.advanced_with_wrench(
-            model, bias, body, tool, tool_end, part, substeps_for(part, max_step))
-        tool = tool_end
-    write_row(bodies[k], body)
-    wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
-    return body, wrench, is_sound
-
-
-@entry
 def body_at_end(
     row: Any, law: LawTuple, beginning: Moving, samples: Samples, until_ns: int,
     max_step: float,
@@ -442,3 +377,21 @@ def body_at_end(
     return propagated(
         kernels.model_of(row, law), beginning, none, none, samples, False, until_ns, max_step,
         np.zeros((0, 0, 0)), 0.0)[1]
+
+
+@entry
+def followed(
+    row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
+    stamp_ns: int, start: State, end: State, max_step: float, reach: float,
+) -> tuple[State, Wrench, bool]:
+    """Store another sample of the tool; return the package there, and `checked_wrench`."""
+    stamps, starts, ends, bodies, k = samples
+    stamps[k] = stamp_ns
+    write_row(starts[k], start)
+    write_row(ends[k], end)
+    body = body_at_end(
+        row, law, (stamps[k - 1], start, body, theta), (stamps, starts, ends, bodies, k + 1),
+        stamp_ns, max_step)
+    wrench, is_sound = kernels.checked_wrench(
+        dynamics.model_at(row, law, theta), end, body, reach)
+    return body, wrench, is_sound

@@ -20,12 +20,24 @@ from bellows_ros.core.observer.dynamics import (
     wrench_bias,
 )
 from bellows_ros.core.observer.pose_sensor import Marker
-from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, NOISE, STATE
+from bellows_ros.core.observer.states import CAMERA, COM, LATENCY, MARKER, MASS, NOISE, STATE
 from bellows_ros.core.sensors.corners import equivalent_pose, SAME_VIEW, write_image
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+SHARES: Array = 1.0 / np.array([3.0, 9.0, 24.0, 66.0])
+"""Shares of the newest pose in the moving means: a push, and shifts of 1, 0.6 and 0.4 standard
+deviations at the threshold."""
+
+Means = tuple[Array, Array, Array]
+"""Moving means of whitened innovations (k, 6), their variances without faults (k,), and their
+normalised squares (k,)."""
+
+NO_MEANS: Means = np.zeros((len(SHARES), 6)), np.zeros(len(SHARES)), np.zeros(len(SHARES))
+"""Means before the first pose."""
 
 
 class MeasuredPose(NamedTuple):
@@ -45,6 +57,10 @@ class MeasuredPose(NamedTuple):
     """Sag of the cup (m) near a support, otherwise 0."""
     gate: float
     """Largest squared Mahalanobis distance, 0 without a measurement."""
+    means: Means
+    """Moving means of the innovations before."""
+    prior: Array
+    """Prior variances of mass and centre of mass (4,)."""
 
 
 WHITE_SHARE = 0.05
@@ -67,6 +83,9 @@ beyond, the covariance is enlarged, as the noise of cameras has heavy tails.
 
 MEMORY_COUNT = 1000.0
 """Number of measurements in the memory of the noise."""
+
+LEAST_KNOWN = 1e-3
+"""Smallest fraction of a variance that counts as its reduction by poses; rounding hides less."""
 
 ERROR_COUNT = 20.0
 """Number of measurements, all with errors of the model, after which the variance of the model
@@ -338,6 +357,28 @@ def updated_memory(
 
 
 @kernel
+def moved_means(before: Means, z: Array) -> Means:
+    """Return the moving means after another whitened innovation (6,)."""
+    means, variances, squares = before[0].copy(), before[1].copy(), np.zeros(len(SHARES))
+    for i in range(len(SHARES)):
+        variances[i] = (1.0 - SHARES[i]) ** 2 * variances[i] + SHARES[i] ** 2
+        for j in range(6):
+            means[i, j] += SHARES[i] * (z[j] - means[i, j])
+            squares[i] += means[i, j] ** 2 / variances[i]
+    return means, variances, squares
+
+
+@kernel
+def significance(theta: Array, P: Array, prior: Array) -> Array:
+    """Return the changes of mass and centre of mass, in deviations; prior variances (4,)."""
+    out = np.zeros(len(prior))
+    for i in range(len(prior)):
+        gained = max(prior[i] - P[MASS + i, MASS + i], LEAST_KNOWN * prior[i], 1e-99)
+        out[i] = abs(theta[i]) / math.sqrt(gained)
+    return out
+
+
+@kernel
 def rise_ratio(body: State, gravity: Vector, innovation: Innovation, sag: float) -> float:
     """
     Return the log-likelihood ratio of a rise by the sag of the cup (m).
@@ -454,12 +495,20 @@ class Corrected(NamedTuple):
     exposed: State
     """Predicted package at the exposure."""
     z: Array
-    """Whitened innovation (6,), of an outlier as enlarged by its covariance."""
+    """Whitened innovation (6,)."""
     whitener: Array
-    distance: float
-    """Its squared distance, without the enlargement."""
+    """Triangular matrix (6, 6)."""
     rise: float
     """Log-likelihood ratio of a rise by the sag of the cup near a support."""
+    means: Means
+    """Moving means with this innovation."""
+    changes: Array
+    """Changes of mass and centre of mass (4,), see `significance`."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the estimate, ns."""
+        return self.estimate[0]
 
 
 @entry
@@ -480,7 +529,8 @@ def filter_step(
         nominal, estimate, samples, is_recorded, until_ns, max_step, noise)
     _, tool, body, theta, P, memory = after
     if seen.gate == 0.0:
-        return Corrected(USED, after, body, np.zeros(6), gain[:6, :6].copy(), 0.0, rise)
+        return Corrected(USED, after, body, np.zeros(6), gain[:6, :6].copy(), rise,
+                         seen.means, significance(theta, P, seen.prior))
     model = with_theta(nominal, theta)
     exposed = at_exposure(model, tool, body, theta)
     difference, covariance = _measured_difference(model, tool, exposed, theta, seen)
@@ -503,5 +553,7 @@ def filter_step(
             memory = updated_memory(memory, theta, seconds, innovation, gain, verdict == USED)
         if seen.sag > 0.0 and verdict == USED:
             rise = rise_ratio(body, nominal[2], innovation, seen.sag)
-    return Corrected(verdict, (until_ns, tool, body, theta, P, memory), exposed, innovation.z,
-                     innovation.whitener, innovation.distance, rise)
+    weight = math.sqrt(max(innovation.distance / OUTLIER_DISTANCE, 1.0))
+    return Corrected(verdict, (until_ns, tool, body, theta, P, memory), exposed,
+                     weight * innovation.z, weight * innovation.whitener, rise,
+                     moved_means(seen.means, innovation.z), significance(theta, P, seen.prior))

@@ -22,13 +22,18 @@ from bellows_ros.core.model.simulation import body_row, row_state
 from bellows_ros.core.observer import alarms, dynamics, states
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm, DIFFERS, LOST
-from bellows_ros.core.observer.correction import Correction, Known
+from bellows_ros.core.observer.correction import Correction
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
-from bellows_ros.core.observer.filter import Estimate
 from bellows_ros.core.observer.measurement import changed_by, OUTLIER_DISTANCE
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT, PoseSensor
-from bellows_ros.core.observer.results import Payload, payload_of
-from bellows_ros.core.observer.states import ANOTHER_PACKAGE, CAMERA_ROWS, CUP_ROWS, STATE
+from bellows_ros.core.observer.results import Estimate, Payload, payload_of
+from bellows_ros.core.observer.states import (
+    ANOTHER_PACKAGE,
+    CAMERA_ROWS,
+    CUP_ROWS,
+    KNOWN_ROWS,
+    STATE,
+)
 from bellows_ros.core.observer.support import Support
 from bellows_ros.core.observer.track import Track
 from bellows_ros.core.observer.wrenches import Watch, WrenchFilter
@@ -107,10 +112,10 @@ class Observer:
     """
 
     _correction: Correction
-    _known: Known
+    _known: Estimate
 
     def __init__(self, values: Values) -> None:
-        self._set_values(values)
+        self.use_values(values)
         self.counts = dict.fromkeys(('used', 'recovered', *VERDICTS), 0)
         self.alarms: list[Alarm] = []
         self.has_sensor = False
@@ -126,13 +131,10 @@ class Observer:
         self._held_ns = 0  # stamp of the last reading that holds
         self._of_signals: list[Alarm] = []
 
-    def _set_values(self, values: Values) -> None:
-        self._values, self.sensor = values, PoseSensor(values)
-        self.wrenches = WrenchFilter(WrenchSensor.of(values))
-
     def use_values(self, values: Values) -> None:
         """Use other parameters from the next model on; estimates of the camera are kept."""
-        self._set_values(values)
+        self._values, self.sensor = values, PoseSensor(values)
+        self.wrenches = WrenchFilter(WrenchSensor.of(values))
 
     def set_model(self, model: ModelTuple, max_step: float, reach: float) -> None:
         """Set a nominal model, its longest step (s), and the largest displacement of a lip (m)."""
@@ -165,7 +167,7 @@ class Observer:
         correction = self._correction
         known = correction.initial
         if kept:
-            known = known.with_rows(self._known, kept)
+            known = known.with_rows(self._known, kept)._replace(memory=self._known.memory)
         self._known = known
         for each in (self._estimates, self._measurements, self._pending):
             each.clear()
@@ -203,16 +205,11 @@ class Observer:
         """The estimate at the newest sample of the tool."""
         if not self._begin_estimates():
             return None
-        self._newest = self._at(
-            self._newest or self._estimates[-1], self._track.newest_ns)
+        self._newest = self._correction.propagated(
+            self._newest or self._estimates[-1], self._track, self._track.newest_ns)
         if not self.has_sensor:
             self._estimates[0] = self._newest  # no measurement can change it
         return self._correction.with_noise_of_sample(self._newest)
-
-    def _at(self, estimate: Estimate, stamp_ns: int) -> Estimate:
-        """Return an estimate at a later stamp."""
-        return estimate if estimate.stamp_ns >= stamp_ns else self._correction.propagated(
-            estimate, self._track, stamp_ns)
 
     def covariance(self, stamp_ns: int) -> Array | None:
         """Return the covariance of the state (12, 12) at a stamp of the last 0.5 s, or None."""
@@ -223,7 +220,8 @@ class Observer:
         if stamp_ns < estimate.stamp_ns:
             before = self._estimates[bisect_right(
                 self._estimates, stamp_ns, key=lambda each: each.stamp_ns) - 1]
-            estimate = self._correction.with_noise_of_sample(self._at(before, stamp_ns))
+            estimate = self._correction.with_noise_of_sample(
+                self._correction.propagated(before, self._track, stamp_ns))
         return estimate.covariance[:STATE, :STATE]
 
     @property
@@ -382,7 +380,7 @@ class Observer:
             if k == first and verdict:
                 self.counts[verdict] += 1
             if verdict == 'recovered':
-                after = self._correction.rolled_back(after, self._known)
+                after = after.with_rows(self._known, KNOWN_ROWS)
             self._note_trouble(after.stamp_ns, verdict, alarm)
             estimates.append(after)
             if verdict and self._may_fall(measurements[k].stamp_ns):
@@ -440,8 +438,8 @@ class Observer:
         resembles a wrong package.
         """
         if any(each.kind == DIFFERS for each in self.alarms[self._first_of_package:]):
-            estimate = self._correction.rolled_back(estimate, self._known, CUP_ROWS)
-        self._known = Known(estimate.theta, estimate.covariance, estimate.memory)
+            estimate = estimate.with_rows(self._known, CUP_ROWS)
+        self._known = estimate
 
     @property
     def departs_from_file(self) -> bool:
@@ -477,9 +475,11 @@ class Observer:
         """Return whether a fall may explain the recent poses; raise an alarm if it is certain."""
         last = self._estimates[-1].evidence.seen
         assert last
-        allowed, had_vacuum = self._correction.false_per_hour, self._had_vacuum(stamp_ns)
-        if not allowed or last.z @ last.z <= OUTLIER_DISTANCE or (
-                self._estimates[-1].support and had_vacuum is not None):
+        allowed = self._correction.false_per_hour
+        if not allowed or last.z @ last.z <= OUTLIER_DISTANCE:
+            return False
+        had_vacuum = self._had_vacuum(stamp_ns)
+        if self._estimates[-1].support and had_vacuum is not None:
             return False
         stamps: Stamps = np.asarray(self._track.rows[0])
         bodies: Array = np.asarray(self._track.rows[3])
@@ -494,11 +494,11 @@ class Observer:
         ratio = alarms.fall_ratio(
             stamps[first:end:every].copy(), bodies[first:end:every].copy(),
             np.array([each.stamp_ns for each in seen]),
-            np.array([[*each.body[0], *each.body[1]] for each in seen]),
+            np.array([[*each.exposed[0], *each.exposed[1]] for each in seen]),
             np.array([each.z for each in seen]), np.array([each.whitener for each in seen]),
             self._correction.nominal[2])
         period = self._estimates[-1].memory[ekf.PERIOD]
-        least = alarms.fall_threshold(allowed, period) + (
+        least = math.log(3600.0 / (period * min(allowed, 1.0))) + (
             math.log(alarms.VACUUM_ODDS) if had_vacuum else 0.0)  # which contradicts
         if ratio > least:
             self._raise(Alarm(stamp_ns, LOST, seen[0].stamp_ns))

@@ -1,16 +1,87 @@
-"""Results of an estimate: the payload."""
+"""The estimate of a held package, its evidence of deviations, and its payload."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Matrix, Vector
-from bellows_ros.core.model.kernels import ModelTuple
+from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.pseudo_inertia import second_moments
 from bellows_ros.core.observer import states
-from bellows_ros.core.observer.filter import Estimate
+from bellows_ros.core.observer.filter import Moving
+from bellows_ros.core.observer.measurement import Corrected, Means, NO_MEANS
 import numpy as np
+
+USUAL = 16.81
+"""Normalised square of a mean that is usual: 99 % of chi^2 of 6."""
+
+
+class Evidence(NamedTuple):
+    """Evidence of deviations after a measurement."""
+
+    means: Means = NO_MEANS
+    """Moving means of whitened innovations."""
+    poses: int = 0
+    """Number of poses since the start or an alarm."""
+    since_ns: int = 0
+    """Stamp of the last usual means, ns."""
+    differing: int = 0
+    """Number of successive poses in which a parameter differs."""
+    seen: Corrected | None = None
+    """The last measured pose."""
+
+    def after(self, seen: Corrected) -> Evidence:
+        """Return the evidence after another pose."""
+        since_ns = seen.stamp_ns if seen.means[2].max() <= USUAL else self.since_ns
+        return self._replace(means=seen.means, poses=self.poses + 1, seen=seen,
+                             since_ns=since_ns or seen.stamp_ns)
+
+
+class Estimate(NamedTuple):
+    """The estimated package at one stamp."""
+
+    stamp_ns: int
+    tool: State
+    body: State
+    theta: Array
+    """Rows of the error from `MASS` on (n - 12,)."""
+    covariance: Array
+    """Covariance (n, n) of the error."""
+    memory: Array
+    """Memory (17,) of the noise, with indices from `filter.PERIOD` on."""
+    evidence: Evidence = Evidence()
+    """Evidence of deviations."""
+    gated_ns: tuple[int, ...] = ()
+    """Stamps (ns) of consecutive measurements outside the gate."""
+    away_ns: int = 0
+    """Stamp of the first of consecutive measurements out of reach, after a measurement within
+    reach; 0 for none, -1 after an assessment."""
+    support: int = 0
+    """Whether a support was `NEAR` or in `CONTACT`; 0 without."""
+    contact: float = 0.0
+    """Log-likelihood ratio of a contact since its likeliest begin."""
+    late_ns: int = 0
+    """Shift of the last measurement before its stamp, ns."""
+    wrench_memory: tuple[float, ...] = ()
+    """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
+
+    @property
+    def moving(self) -> Moving:
+        """The moving package, as the kernels take it."""
+        return self.stamp_ns, self.tool, self.body, self.theta
+
+    def with_rows(self, other: Estimate, rows: Any) -> Estimate:
+        """Return an estimate with some rows (k,) of another, independent of the rest."""
+        rows = np.asarray(rows)[np.less(rows, len(other.covariance))]
+        n, block = max(len(self.covariance), 1 + rows.max(initial=0)), np.ix_(rows, rows)
+        theta, P = np.zeros(n - states.STATE), np.zeros((n, n))
+        theta[:len(self.theta)] = self.theta
+        P[:len(self.covariance), :len(self.covariance)] = self.covariance
+        theta[rows - states.STATE] = other.theta[rows - states.STATE]
+        P[rows, :], P[:, rows] = 0.0, 0.0
+        P[block] = other.covariance[block]
+        return self._replace(theta=theta, covariance=P)
 
 
 class Payload(NamedTuple):

@@ -30,8 +30,9 @@ from bellows_ros.core.model.kernels import LawTuple, ModelTuple, State, Wrench
 from bellows_ros.core.model.simulation import body_row, first_after, row_state, stands
 from bellows_ros.core.observer import dynamics, states
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.filter import Estimate, Moving, Samples
+from bellows_ros.core.observer.filter import Moving, Samples
 from bellows_ros.core.observer.measurement import changed_by, GATE
+from bellows_ros.core.observer.results import Estimate
 from bellows_ros.core.observer.states import COM, DAMPING, MARKER, ROWS, STATE, STIFFNESS
 from bellows_ros.core.sensors.set_up import COS_MIN_TILT, fault_of, Still
 from bellows_ros.core.sensors.wrench import (

@@ -109,41 +109,30 @@ class Cell:
         Of the camera.
     size : float
         Size of the fault relative to the usual one.
-    lost : int
-        The cup of `LAYOUT` that is lost in a fault 'cup'; a gripper holds the package if not None.
-    lasts : float
-        How long a package slips, s.
-    numbers : ndarray
-        Of a slip or a payload (m), or a camera (m, rad); drawn if None.
     more : parameters of the observer
 
     """
 
-    def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0,
-                 lost=None, lasts=0.0, numbers=None, **more):
+    def __init__(self, seed, seconds, wrong, fault='', at=5.0, rate_hz=125 / 4, size=1.0, **more):
         """Simulate the package and its measured poses."""
         self.rng = rng = np.random.default_rng(seed)
-        self.at, self.fault, self.size, self.lost, self.numbers = at, fault, size, lost, numbers
-        self.steps = max(round(lasts * 1e9 / PERIOD_NS), 1)
-        self.nominal = PACKAGE if lost is None else HEAVY
+        self.at, self.fault, self.size = at, fault, size
         self.wrong = wrong = {
             **dict.fromkeys(OF_CAMERA, 0.0), 'noise': 1.0, 'offset': (0.0, 0.0),
             'motion': tool_motion, **wrong}
         self.stamps, self.tool = wrong['motion'](rng, seconds, period_ns=PERIOD_NS)
         self.tool = [(tuple(np.add(o, WORKPLACE).tolist()), *rest) for o, *rest in self.tool]
-        self.package, self.one_cup = self._true()
-        self.cup = self.one_cup if lost is None else gripper_of(self.one_cup)
+        self.package, self.cup = self._true()
         self.first = round(at * 1e9 / PERIOD_NS)
         self.body = truth(self.tool, self.package, self.cup, change=self._change(),
                           period_ns=PERIOD_NS)
-        given = {**ORDINARY, **stated(self.nominal, **{
+        given = {**ORDINARY, **stated(PACKAGE, **{
             name: value for name, value in wrong.items()
             if name not in (*OF_CAMERA, 'noise', 'offset', 'motion')}), **more}
         if given['payload__estimate']:
             given |= {f'package__{name}_std': 0.0 * np.array(given[f'package__{name}_std'])
                       for name in ('mass', 'com') if name not in wrong}
-        self.made = observer(**given) if lost is None else observer(
-            HEAVY, gripper_of(CUP), **{**OF_GRIPPER, **given})
+        self.made = observer(**given)
         self.seen = self._seen(round(1e9 / rate_hz / PERIOD_NS))
 
     def _across(self, length):
@@ -154,59 +143,41 @@ class Cell:
         direction = self.rng.normal(size=3)
         return length * direction / np.linalg.norm(direction)
 
-    def _sized(self, kind, drawn):
-        """Return the numbers of a fault: the given ones, otherwise as drawn."""
-        if kind == self.fault:
-            self.numbers = drawn = drawn if self.numbers is None else self.numbers
-        return self.size * drawn
-
     def _true(self):
         """Return the true package and cup."""
         off = {name: self.rng.choice([-1.0, 1.0]) * self.wrong.get(name, 0.0)
                for name in ('mass', 'inertia', 'stiffness', 'damping')}
         com = self._direction(self.wrong.get('com', 0.0))
-        if self.fault == 'payload':
-            com = com + self._sized('payload', self._across(0.01))
-        if self.fault == 'wear':
-            off['stiffness'] -= 0.2 * self.size
         if self.fault == 'mass':
             off['mass'] += 0.1 * self.size
         mass, inertia = 1.0 + off['mass'], 1.0 + off['inertia']
-        given = self.nominal
-        return Package(mass * given.mass, mass * inertia * given.inertia, given.com + com), Cup(
+        return Package(
+            mass * PACKAGE.mass, mass * inertia * PACKAGE.inertia, PACKAGE.com + com), Cup(
                 (1.0 + off['stiffness']) * CUP.stiffness, (1.0 + off['damping']) * CUP.damping,
                 CUP.length)
 
     def _change(self):
         """Give the change of state and model at each sample of the tool."""
-        self.by = by = self._sized('slip', self._across(3e-3))
-        turn, rate = 0.1 * self.size, 5e-3 * self.size
+        by = self.size * self._across(3e-3)
         push, spin = self.size * np.array([0.0, 0.15, 0.1]), self.size * np.array([1.0, 1.0, 0.0])
 
-        def model(com=None, part=1.0, longer=0.0):
-            cup = Cup(part * self.cup.stiffness, part * self.cup.damping, self.cup.length + longer)
-            com = self.package.com if com is None else com
+        def model(com, part=1.0):
+            cup = Cup(part * self.cup.stiffness, part * self.cup.damping, self.cup.length)
             return model_tuple(cup, Package(self.package.mass, self.package.inertia, com), 9.81)
 
         def change(k, body, before):
             since = (k - self.first) * PERIOD_NS * 1e-9
-            if since < 0.0 or self.fault in ('', 'wear', 'payload', 'mass', 'camera', 'turn'):
+            if since < 0.0 or self.fault in ('', 'mass', 'camera', 'turn'):
                 return body, before
             if self.fault == 'push':
                 is_pushed = k == self.first
                 return moved_by(body, is_pushed * np.r_[np.zeros(6), push, spin]), before
             if self.fault == 'slip':
-                steps, n = k - self.first + 1, self.steps
-                body = moved_by(body, np.r_[by / n, np.zeros(9)]) if steps <= n else body
-                return body, model(self.package.com + min(steps / n, 1.0) * by)
-            if self.fault == 'cup':
-                left = gripper_of(self.one_cup, np.delete(LAYOUT, self.lost, axis=0))
-                return body, model_tuple(left, self.package, 9.81)
-            left = {'leak': 1.0, 'peel': 1.0 - since / 0.15,
-                    'soften': 0.5 ** (self.size * since / 3.0)}.get(self.fault, 0.0)
-            return body, model(None, max(left, 1e-9), (self.fault == 'leak') * rate * since)
+                body = moved_by(body, np.r_[by, np.zeros(9)]) if k == self.first else body
+                return body, model(self.package.com + by)
+            left = 1.0 - since / 0.15 if self.fault == 'peel' else 0.0
+            return body, model(self.package.com, max(left, 1e-9))
 
-        self.turn = np.array([0.0, 0.0, turn])
         return change
 
     def _seen(self, every):
@@ -214,8 +185,7 @@ class Cell:
         wrong, rng, n = self.wrong, self.rng, np.zeros(6)
         kept = np.exp(-every * PERIOD_NS * 1e-9 / wrong['memory']) if wrong['memory'] else 0.0
         offset = [self._direction(size) for size in wrong['offset']]
-        moved = np.split(self._sized(
-            'camera', np.r_[self._direction(5e-3), self._direction(5e-3)]), 2)
+        moved = [self.size * self._direction(5e-3) for _ in range(2)]
         std = wrong['noise'] * NOISE
         out, n = {}, rng.normal(size=6) * std
         for k in range(every, len(self.tool), every):
@@ -234,7 +204,7 @@ class Cell:
                     np.linalg.norm(np.subtract(body[0], self.tool[k][0])) > 0.55):
                 break
             if after and self.fault == 'turn':
-                body = moved_by(body, np.r_[np.zeros(3), self.turn, np.zeros(6)])
+                body = moved_by(body, np.r_[np.zeros(3), [0.0, 0.0, 0.1 * self.size], np.zeros(6)])
             pose = moved_by(body, np.r_[n, np.zeros(6)])[:2]
             if wrong['outliers'] and rng.random() < wrong['outliers']:
                 tail = 1.5 * NOISE * rng.standard_t(3, size=6)
@@ -247,24 +217,19 @@ class Cell:
             out[k] = [(int(self.stamps[k]), pose)]
         return out
 
-    def run(self, after=None, before=None):
+    def run(self, after=None):
         """
         Let the observer follow; give its alarms (cause, s since the fault).
 
-        Calls before(seen) with each measurement, and after(k) when sample k of the tool is done.
+        Calls after(k) when sample k of the tool is done.
         """
         made, rng = self.made, self.rng
         noisy = [with_noise(rng, state, TOOL_NOISE) for state in self.tool]
-        start = truth(noisy[:1])[0] if self.lost is None else truth(
-            noisy[:1], HEAVY, gripper_of(CUP))[0]
-        made.start(int(self.stamps[0]), noisy[0], start)
+        made.start(int(self.stamps[0]), noisy[0], truth(noisy[:1])[0])
         for k in range(1, len(noisy)):
             made.follow(int(self.stamps[k]), noisy[k - 1], noisy[k])
             for stamp_ns, pose in self.seen.get(k, []):
-                seen = made.sensor.measurement(stamp_ns, *pose)
-                if before is not None:
-                    before(seen)
-                made.update(seen)
+                made.update(made.sensor.measurement(stamp_ns, *pose))
             if after is not None:
                 after(k)
         return [(alarm.kind, (alarm.stamp_ns - int(self.stamps[0])) * 1e-9 - self.at)

@@ -1,7 +1,7 @@
 """Tell a lost package, deviating poses and wrong parameters; nothing where nothing is wrong."""
 
 from bellows_ros.core.geometry.tuples import quaternion_product
-from bellows_ros.core.observer import alarms
+from bellows_ros.core.observer import alarms, measurement
 from bellows_ros.report.findings import text
 import numpy as np
 import pytest
@@ -99,12 +99,10 @@ def test_late_and_shuffled_equals_in_order_with_an_alarm(fault):
 
 def test_threshold_is_exceeded_at_the_allowed_rate():
     """As chi^2 of 6 and independent means have it."""
-    x = alarms.threshold(2.0, 0.03)
-    poses = 3600.0 / 0.03
-    assert chi2.sf(x, 6) * poses * np.sum(1.0 / alarms.COUNTS) == pytest.approx(2.0, rel=1e-3)
-    rng, evidence, largest = np.random.default_rng(1), alarms.Evidence(), []
-    seen = alarms.Innovation(1, None, None, None)
+    x = chi2.isf(2.0 * 0.03 / 3600.0 / measurement.SHARES.sum(), 6)
+    assert [alarms.is_deviation(x + by, 2.0, 0.03) for by in (-1e-3, 1e-3)] == [False, True]
+    rng, means, largest = np.random.default_rng(1), measurement.NO_MEANS, []
     for z in rng.normal(size=(3000, 6)):
-        evidence = evidence.after(seen, z)
-        largest.append(evidence.squares)
+        means = measurement.moved_means(means, z)
+        largest.append(means[2])
     np.testing.assert_allclose(np.mean(largest, axis=0), 6.0, rtol=0.35)

@@ -21,6 +21,7 @@ from bellows_ros.core.observer.measurement import (
     filter_step,
     innovation_of,
     MeasuredPose,
+    NO_MEANS,
     observation,
     posterior,
     WHITE_SHARE,
@@ -158,7 +159,8 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
             model_row(model), law_of(model), (0, tool[60], body, none, P.copy(), MEMORY),
             (np.zeros(1, int), *np.zeros((3, 1, 25)), 1), False, 0, 1.0,
             (NO_DRIVE, np.zeros(states.ROWS), False),
-            MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, 0.0, np.inf),
+            MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, 0.0, np.inf,
+                         NO_MEANS, np.ones(4)),
             False, False)
         z, W = step.z, step.whitener
         H = observation(states.ROWS, step.exposed, np.diag(NOISE_STD**2), of_lip, WHITE_SHARE)

@@ -65,22 +65,6 @@ def assert_same(made, other):
         (P - Q) / np.outer(unit, unit), 0.0, atol=limit)
 
 
-@pytest.mark.parametrize('late', [1, 50, 110])
-def test_late_and_out_of_order_equals_in_order(late):
-    """Get measurements 4 to 440 ms late, and every second one before the one it follows."""
-    stamps, tool, body, seen = scene(1)
-    end = len(tool) - 125
-    seen = {k: pose for k, pose in seen.items() if k < end}
-    in_order, made = observer(payload__estimate=True), observer(payload__estimate=True)
-    follow(in_order, stamps, tool, body[0], at_once(stamps, seen))
-    came = {}
-    for k, pose in seen.items():
-        came.setdefault(k + late + (12 if k % 16 else 0), []).append((stamps[k], pose))
-    follow(made, stamps, tool, body[0], came)
-    assert_same(made.estimate, in_order.estimate)
-    assert made.counts == in_order.counts == {**made.counts, 'used': len(seen)}
-
-
 def put_down():
     """Give stamps and states of a tool that lifts by 0.1 m, and stops on its way down."""
     t = np.arange(0.0, 2.2, PERIOD_NS * 1e-9)
