@@ -68,6 +68,10 @@ would change by 1 mm."""
 MIN_COUNT = 3
 """Smallest number of wrenches in a block."""
 
+PERSISTING = 3
+"""Number of successive blocks outside the gate from which they are used, and check the set-up in
+motion: 0.2 s, longer than a collision and than the time in which a loss is noticed."""
+
 LEARNING_COUNT = 40.0
 """Number of blocks over which the noise is learned, 2.5 s."""
 
@@ -172,7 +176,7 @@ class WrenchFilter:
     def __init__(self, sensor: WrenchSensor) -> None:
         self.sensor = sensor
         self._stamps, self._values = as_inputs(np.zeros(KEPT, np.int64), np.zeros((KEPT, 6)))
-        self._count = 0
+        self._count = self._outside = 0
         self.set_up = SetUp(sensor)
 
     def clear(self) -> None:
@@ -214,20 +218,22 @@ class WrenchFilter:
             track.samples, used, until_ns, correction.max_step, self.sensor.mount)
         mean = mean + self._of_gripper(
             start, end, (until_ns - before.stamp_ns) / NS_PER_S, correction.nominal[2])
-        if stands(np.ravel(start[2:4])) and stands(np.ravel(end[2:4])):
-            R = np.reshape(t3.multiply(t3.rotation_matrix(end[1]), self.sensor.mount[1]), (3, 3))
-            self.set_up.add(Still(used[1].mean(axis=0), mean, R), correction.weight)
-        if self.set_up.is_contradicted:
-            return before
-        before = _with_sensor(before, correction.prior)
+        own = _with_sensor(before, correction.prior)
         H[:, states.ZERO:states.ZERO + 6], H[:, states.GAIN] = np.eye(6), mean
-        gain, zero = (before.theta[row - STATE:][:6] for row in (states.GAIN, states.ZERO))
-        return self._updated(
-            correction, before, WITH_CAMERA if has_camera else CUP,
+        gain, zero = (own.theta[row - STATE:][:6] for row in (states.GAIN, states.ZERO))
+        after, is_outside = self._updated(
+            correction, own, WITH_CAMERA if has_camera else CUP,
             used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
             np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * (
                 GAIN_STD**2 + before.memory[ekf.SHARE]) * np.square(
                     np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
+        self._outside = min(self._outside + 1, PERSISTING) * is_outside
+        if self._outside == PERSISTING or (
+                stands(np.ravel(start[2:4])) and stands(np.ravel(end[2:4]))):
+            R = np.reshape(t3.multiply(t3.rotation_matrix(end[1]), self.sensor.mount[1]), (3, 3))
+            self.set_up.add(Still(used[1].mean(axis=0), mean, R), correction.weight)
+        is_used = not self.set_up.is_contradicted and self._outside in (0, PERSISTING)
+        return after if is_used else before
 
     def package_load(
         self, correction: Correction, estimate: Estimate, track: Track, stamp_ns: int
@@ -257,8 +263,12 @@ class WrenchFilter:
     def _updated(
         self, correction: Correction, before: Estimate, kept: Places, y: Array, H: Array,
         variance: Array,
-    ) -> Estimate:
-        """Return an estimate corrected by an innovation (6,), with derivative H (6, n)."""
+    ) -> tuple[Estimate, bool]:
+        """
+        Return an estimate corrected by an innovation (6,), with derivative H (6, n).
+
+        The second result is whether the innovation is outside the gate.
+        """
         memory = np.array(before.wrench_memory or (FIRST_FACTOR, FIRST_FACTOR))
         variance = variance * np.repeat(memory, 3)
         P = before.covariance
@@ -276,10 +286,10 @@ class WrenchFilter:
         gain[:, kept], of_kept[:, kept] = 0.0, W[:, kept]
         body, theta = changed_by(before.body, before.theta, gain.T @ z)
         if not dynamics.is_possible(body, theta, correction.largest):
-            return before._replace(wrench_memory=tuple(memory.tolist()))
+            return before._replace(wrench_memory=tuple(memory.tolist())), True
         return before._replace(
             body=body, theta=theta, covariance=P - W.T @ W + of_kept.T @ of_kept,
-            wrench_memory=tuple(memory.tolist()))
+            wrench_memory=tuple(memory.tolist())), excess > 1.0
 
 
 def _with_sensor(estimate: Estimate, prior: Array) -> Estimate:

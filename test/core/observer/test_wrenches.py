@@ -73,6 +73,30 @@ def test_loss_is_told():
     assert (alarm.kind, alarm.shown_by, 0.0 < delay < 0.02) == ('lost', 'wrench', True)
 
 
+@pytest.mark.parametrize('camera', [False, True])
+def test_sensor_of_the_other_sign_is_not_used(camera):
+    """Check the set-up in motion, too: from 1 s on, when the tool moves."""
+    run = simulated(0, 'UR', True, 2.5)
+    live, errors = predict(run, 0, camera, before=lambda k, live, reading: (
+        -reading if k * STEP_NS > 1e9 else np.nan * reading))
+    assert live.package.observer.wrenches.set_up.is_contradicted
+    without = predict(run, 0, camera, False)[1]
+    assert_allclose(errors[800:], without[800:], atol=1e-3)
+
+
+@pytest.mark.parametrize('size', [1e3, 9.9e5])
+def test_wrenches_of_any_size_leave_finite_numbers(size):
+    """Of payload, poses and alarms, up to the bound of all messages."""
+    run, rng = simulated(0, 'UR', True, 1.2), np.random.default_rng(0)
+    with np.errstate(all='raise', under='ignore'):
+        live, errors = predict(run, 0, before=lambda k, live, reading: (
+            reading + size * rng.normal(size=6) * (k % 50 == 0)))
+    assert np.isfinite(errors).all() and np.isfinite([live.payload.mass, *live.payload.com]).all()
+    assert np.isfinite([live.payload.mass_std, *live.payload.com_std]).all()
+    assert all(np.isfinite([*each.shift, *each.rotation, *each.value, *each.std]).all()
+               for each in live.alarms)
+
+
 def test_time_that_goes_back_restarts_the_wrenches():
     """As a recording that is played in a loop: a reset forgets their stamps."""
     made, wrench = observer(), ((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
