@@ -22,7 +22,7 @@ from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import substeps_for
@@ -175,7 +175,7 @@ class WrenchFilter:
 
     def __init__(self, sensor: WrenchSensor) -> None:
         self.sensor = sensor
-        self._stamps, self._values = as_inputs(np.zeros(KEPT, np.int64), np.zeros((KEPT, 6)))
+        self._stamps, self._values = np.zeros(KEPT, np.int64), np.zeros((KEPT, 6))
         self._count = self._outside = 0
         self.set_up = SetUp(sensor)
 
