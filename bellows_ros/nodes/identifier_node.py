@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
-from .node_parameters import ros_parameter, TableNode
+from .guarding import ros_parameter, TableNode
 from ..core.parameters import checks, table
 from ..errors import BellowsError
 from ..report.build import write_page

@@ -21,7 +21,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, FluidPressure
 from std_msgs.msg import Bool
-from std_srvs.srv import Trigger
 
 from . import conversions
 from .conversions import quaternion_xyzw, reader, stamp_to_ns, TOOL_POSES, type_name, vector
@@ -228,22 +227,12 @@ class Attachment:
         for service, held, words in (
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
-            node.create_service(Trigger, f'package/{service}', partial(self._answer, held, words))
+            node.create_trigger(f'package/{service}', partial(
+                pipeline.publish, pipeline.live.set_attached, held), words)
         self._refused = Counter[str]()
         self.signal = None if self._kind == 'none' else SensorInput(node, *{
             'bool': (Bool, 'vacuum/held', self._on_held),
             'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
-
-    def _answer(
-        self, held: bool, words: str, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        """Carry out a service request."""
-        pipeline = self._pipeline
-        response.success, response.message = pipeline.node.is_active, 'The node is not active.'
-        if response.success:
-            pipeline.publish(pipeline.live.set_attached, held)
-            response.message = words
-        return response
 
     def _on_held(self, message: Bool) -> None:
         """Process a message of a vacuum switch."""

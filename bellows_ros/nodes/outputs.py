@@ -4,13 +4,13 @@ Outputs of the predictor; topics other than the pose are published only with sub
 Markers for RViz are the package as a box with its mass and inertia, the cup, and its force.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 import importlib.util
 from typing import Any, Self
 
 from bellows_ros.core.parameters import conversion
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs import msg as geometry
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
@@ -18,12 +18,11 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from std_msgs.msg import Bool, Header, String
+from std_msgs.msg import Bool, ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import odometry
-from .guarding import LATCHED, Once
-from .node_parameters import ManagedNode
+from .guarding import LATCHED, ManagedNode, Once
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import LivePredictor, Prediction, uncertainty, vacuum
 from ..core.live.landing import Landing
@@ -172,7 +171,6 @@ class Outputs:
     def __init__(self, shared: Predicting) -> None:
         """Compile all messages, then advertise all topics."""
         self._shared, node = shared, shared.node
-        self.use_values()
         self.pose = Topic(geometry.PoseStamped, 'package/pose', self._make_pose)
         self._twist = Topic(geometry.TwistStamped, 'package/twist', lambda now: pack(
             messages.TWIST, (messages.PACKAGE_FRAME,), now.stamp_ns, *now.linear, *now.angular))
@@ -182,8 +180,8 @@ class Outputs:
         self._odometry = Topic(
             Odometry, 'package/odometry', self._make_odometry, prepare=shared.compile_filter)
         self._deflection = Topic(geometry.PoseStamped, 'cup/deflection', self._make_deflection)
-        self._markers = Topic(MarkerArray, 'package/markers', lambda now: self._picture.fill(
-            shared.live.frame_id, shared.live.model, now))
+        self._markers = Topic(MarkerArray, 'package/markers', lambda now: markers(
+            shared.values, shared.live.frame_id, shared.live.model, now))
         self.landing = Topic(geometry.PoseWithCovarianceStamped, 'package/landing',
                              prepare=shared.compile_landing)
         self._state = Topic(String, 'package/state', qos=LATCHED)
@@ -202,12 +200,8 @@ class Outputs:
                 part.advertise(node)
         self._last_state = ''
         self._was_ok: bool | None = None
-        self._extrapolated_ns = -1
+        self._extrapolated_ns = self._drawn_ns = -1
         self._is_late = self._is_due = False
-
-    def use_values(self) -> None:
-        """Continue with another cup or package."""
-        self._picture = Markers(self._shared.values)
 
     def _make_pose(self, now: Prediction) -> bytes:
         """Return the pose of the package in the frame of the tool's poses."""
@@ -258,7 +252,8 @@ class Outputs:
             return
         self._odometry.send(prediction)
         self._deflection.send(prediction)
-        if self._picture.is_due(prediction.stamp_ns):
+        if not 0 <= prediction.stamp_ns - self._drawn_ns < 40_000_000:  # 25 Hz
+            self._drawn_ns = prediction.stamp_ns
             self._markers.send(prediction)
         if self._tf:
             self._tf.send(prediction)
@@ -280,72 +275,33 @@ class Outputs:
             self._ok.publish(Bool(data=is_ok))
 
 
-NAMESPACE = 'bellows_ros'
+def markers(
+    values: Values, frame_id: str, model: kernels.ModelTuple, now: Prediction
+) -> MarkerArray:
+    """Return a prediction as markers; grey while the tool is extrapolated."""
+    lip, R_world_package = vacuum.lip_position(model, now), rotation_matrix(now.quaternion_xyzw)
+    tool, R_world_tool = now.tool[0], rotation_matrix(now.tool[1])
+    tip = add_scaled(lip, 0.005, apply(R_world_package, now.force))  # m/N
+    cups = [end for x, y, z in conversion.places_of(values)[:, :3].tolist() for end in (
+        add(tool, apply(R_world_tool, (x, y, z))), add(lip, apply(R_world_package, (x, y, z))))]
+    array, stamp = MarkerArray(), Time()
+    stamp.sec, stamp.nanosec = divmod(now.stamp_ns, NS_PER_S)
+    for number, (kind, scale, rgba, points) in enumerate((
+            (Marker.CUBE, vacuum.equivalent_box(values), (0.76, 0.6, 0.42, 0.8), []),
+            (Marker.LINE_LIST, (0.04, 0.0, 0.0), (0.2, 0.3, 0.8, 0.9), cups),
+            (Marker.ARROW, (0.006, 0.012, 0.015), (0.9, 0.2, 0.1, 1.0), [lip, tip]))):
+        r, g, b, a = (0.6, 0.6, 0.6, 0.5) if now.coasting else rgba
+        array.markers.append(Marker(
+            header=Header(stamp=stamp, frame_id=frame_id), ns='bellows_ros', id=number, type=kind,
+            action=Marker.ADD, scale=Vector3(**named(scale)), color=ColorRGBA(r=r, g=g, b=b, a=a),
+            points=[Point(**named(each)) for each in points],
+            lifetime=Duration(nanosec=500_000_000)))
+    array.markers[0].pose = Pose(
+        position=Point(**named(now.position)), orientation=Quaternion(
+            **dict(zip('xyzw', now.quaternion_xyzw, strict=True))))
+    return array
 
 
-class Markers:
-    """Markers that are updated for each frame."""
-
-    def __init__(self, values: Values) -> None:
-        self._box = marker(0, Marker.CUBE, vacuum.equivalent_box(values))
-        self._cup = marker(1, Marker.LINE_LIST, (0.04, 0.0, 0.0))
-        self._places: list[Vector] = [
-            (x, y, z) for x, y, z in conversion.places_of(values)[:, :3].tolist()]
-        self._force = marker(2, Marker.ARROW, (0.006, 0.012, 0.015))
-        self._array = MarkerArray(markers=[self._box, self._cup, self._force])
-        self._last_ns = 0
-
-    def is_due(self, stamp_ns: int) -> bool:
-        """Return whether the next markers are due."""
-        return not 0 <= stamp_ns - self._last_ns < 40_000_000  # 25 Hz
-
-    def fill(self, frame: str, model: kernels.ModelTuple, prediction: Prediction) -> MarkerArray:
-        """Return the markers of a prediction; grey while the tool is extrapolated."""
-        self._last_ns = prediction.stamp_ns
-        lip = vacuum.lip_position(model, prediction)
-        R_world_package = rotation_matrix(prediction.quaternion_xyzw)
-        tip = add_scaled(lip, 0.005, apply(R_world_package, prediction.force))  # m/N
-        self._box.pose = Pose(
-            position=point(prediction.position), orientation=Quaternion(
-                **dict(zip('xyzw', prediction.quaternion_xyzw, strict=True))))
-        tool, R_world_tool = prediction.tool[0], rotation_matrix(prediction.tool[1])
-        self._cup.points = []
-        for place in self._places:
-            root = add(tool, apply(R_world_tool, place))
-            self._cup.points += [point(root), point(add(lip, apply(R_world_package, place)))]
-        self._force.points = [point(lip), point(tip)]
-        for each, colour in (
-                (self._box, (0.76, 0.6, 0.42, 0.8)), (self._cup, (0.2, 0.3, 0.8, 0.9)),
-                (self._force, (0.9, 0.2, 0.1, 1.0))):
-            colour = (0.6, 0.6, 0.6, 0.5) if prediction.coasting else colour
-            show(each, prediction.stamp_ns, frame, colour)
-        return self._array
-
-
-def marker(number: int, kind: int, scale: Vector, namespace: str = NAMESPACE) -> Marker:
-    """Return a marker with a kind and size (m)."""
-    message = Marker(
-        ns=namespace, id=number, type=kind, action=Marker.ADD,
-        scale=Vector3(**dict(zip('xyz', scale, strict=True))))
-    message.lifetime.nanosec = 500_000_000
-    return message
-
-
-def show(
-    marker: Marker, stamp_ns: int, frame_id: str, rgba: tuple[float, float, float, float]
-) -> None:
-    """Set header and colour of a marker."""
-    marker.header = header(stamp_ns, frame_id)
-    marker.color.r, marker.color.g, marker.color.b, marker.color.a = rgba
-
-
-def header(stamp_ns: int, frame_id: str) -> Header:
-    """Return the header of a message."""
-    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
-    return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
-
-
-def point(position: Sequence[float]) -> Point:
-    """Return a position as a message."""
-    x, y, z = position
-    return Point(x=x, y=y, z=z)
+def named(xyz: Vector) -> dict[str, float]:
+    """Return the numbers of a vector by the names of their axes."""
+    return dict(zip('xyz', xyz, strict=True))

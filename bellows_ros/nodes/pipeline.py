@@ -7,6 +7,7 @@ the prediction.
 
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import Future
 import gc
 import time
 from typing import Any
@@ -21,8 +22,8 @@ from rclpy.clock_type import ClockType
 from std_msgs.msg import Bool
 
 from .conversions import reader, TOOL_POSES, type_name
+from .guarding import ManagedNode
 from .inputs import Attachment, Observing, SensorInput, TransformInput
-from .node_parameters import ManagedNode
 from .outputs import Outputs, Predicting
 from .planning import Planning
 from ..core.geometry.arrays import Array
@@ -80,7 +81,8 @@ class Pipeline(Predicting):
             node.get_logger().info('Compiling (once a version): about a minute.')
         self._compile_predictor(values)
         self.compiler = compile_aside(compile_topics, values) if IS_NEW else None
-        self._compiled = {len(cup_of(values).as_tuple)}  # more numbers if it relaxes
+        self._compiled: dict[int, Future[None] | None] = {
+            len(cup_of(values).as_tuple): None}  # more numbers if it relaxes
         self.live = LivePredictor.from_parameters(node.values)
         self.outputs = Outputs(self)
         self._publish_secondary_guarded = node.guarded(self._publish_secondary)
@@ -98,7 +100,6 @@ class Pipeline(Predicting):
         node.create_subscription(
             Bool, 'vacuum/valve', lambda message: self.switch_valve(message.data), 10)
         self.observing = Observing(self)
-        self._apply()
         # each costs as much as a message
         node.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -228,10 +229,8 @@ class Pipeline(Predicting):
         return outcome
 
     def report(self, before: str) -> None:
-        """Log alarms and a change of the package's state, and use the values without lost cups."""
+        """Log alarms and a change of the package's state."""
         self.observing.log_alarms()
-        if self._applied is not self.values:
-            self._apply()
         if self.live.state != before:
             self.node.get_logger().info(f'Package: {self.live.state}.')
             self.publish_state()
@@ -241,7 +240,7 @@ class Pipeline(Predicting):
         before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
         # After a pause of this process, waiting messages come first.
         self._was_late = not self._was_late and self._ticked_ns - before_ns > MAX_SILENCE_NS
-        if self._is_compiling and len(self._compiled) > 1:
+        if self._is_compiling:
             self.use_values()
         if not self.node.is_active or self._was_late:
             return
@@ -270,16 +269,15 @@ class Pipeline(Predicting):
     def use_values(self) -> None:
         """Use the node's parameters; the package keeps its motion."""
         values = with_chosen_cup(self.node.values)
-        if len(cup_of(values).as_tuple) not in self._compiled:
-            if not self._is_compiling:
-                self.node.get_logger().info(
-                    'Compiling for the new values; the ones before are used until then.')
-                self.node.aside(self._compile, values)
-            self._is_compiling = True
-            return
-        self._is_compiling = False
-        self.live.use(values)
-        self._apply()
+        kind = len(cup_of(values).as_tuple)
+        if kind not in self._compiled:
+            self.node.get_logger().info(
+                'Compiling for the new values; the ones before are used until then.')
+            self._compiled[kind] = self.node.aside(self._compile, values)
+        work = self._compiled[kind]
+        self._is_compiling = work is not None and not work.done()
+        if not self._is_compiling:
+            self.live.use(values)
 
     def _compile_predictor(self, values: Values) -> ModelTuple:
         """Compile the predictor for some values; return their model."""
@@ -298,17 +296,9 @@ class Pipeline(Predicting):
 
     def _compile(self, values: Values) -> None:
         """Compile for values of another kind, in a thread; the next tick continues with them."""
-        try:
-            model = self._compile_predictor(values)
-            if self._needs_filter:
-                warm_up_observer(values, model)
-        finally:  # a compilation that fails here fails again at its use
-            self._compiled.add(len(cup_of(values).as_tuple))
-
-    def _apply(self) -> None:
-        """Let all outputs use the values and the model, between two messages."""
-        self._applied = self.values
-        self.outputs.use_values()
+        model = self._compile_predictor(values)
+        if self._needs_filter:
+            warm_up_observer(values, model)
 
 
 def compile_topics(values: Values) -> None:

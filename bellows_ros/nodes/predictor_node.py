@@ -18,9 +18,8 @@ from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
-from std_srvs.srv import Trigger
 
-from .node_parameters import ManagedNode, QOS_PREFIX, TableNode
+from .guarding import ManagedNode, QOS_PREFIX, TableNode
 from .pipeline import Pipeline
 from ..core.findings import Level
 from ..core.geometry.jit import COMPILED, NOT_COMPILED
@@ -115,7 +114,8 @@ class PredictorNode(ManagedNode):
         gc.unfreeze()  # the pipeline before, a cycle, which the warm-up has frozen
         gc.collect()
         gc.freeze()
-        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_trigger('~/reset', self.reset,
+                            'Starts from static equilibrium at the next tool pose.')
         self.pipeline = Pipeline(self)
         self._log_model(self.pipeline)
         for name in self._parameter_overrides:
@@ -229,16 +229,11 @@ class PredictorNode(ManagedNode):
         if self.pipeline:
             self.pipeline.restart('clock_jump')
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def reset(self) -> None:
         """Restart from static equilibrium."""
-        response.success = self.is_active
-        response.message = 'The node is not active.'
-        if self.is_active:
-            assert self.pipeline
-            self.pipeline.publish(self.pipeline.live.flush)
-            self.pipeline.live.reset()
-            response.message = 'Starts from static equilibrium at the next tool pose.'
-        return response
+        assert self.pipeline
+        self.pipeline.publish(self.pipeline.live.flush)
+        self.pipeline.live.reset()
 
     def check_values(self, values: Values) -> tuple[str, ...]:
         """Raise for impossible cups and packages, and settings without effect; return doubts."""

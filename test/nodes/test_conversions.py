@@ -123,23 +123,6 @@ def test_numbers_beyond_the_bound_are_not_numbers(huge):
             assert bool(np.isnan(found[2]).all()) is not is_kept
 
 
-def test_a_list_of_one_transform_is_that_of_ros():
-    """Encode a TFMessage: a count before a TransformStamped, whose doubles are aligned anew."""
-    for frame_id in ('', 'abc', 'abcd', 'world'):
-        one = serialize_message(made(
-            geometry.TransformStamped, 5, 6, (frame_id, 'child'), map(float, range(7))))
-        data = messages.pack(messages.TRANSFORMS, (frame_id, 'child'), 5_000_000_006, *range(7))
-        assert data[:8] == messages.HEAD + b'\1\0\0\0' and data[-56:] == one[-56:]
-        assert (len(data) - 4) % 8 == 0 and data[8:40].startswith(one[4:4 + 8 + 4])
-
-
-@given(SECONDS, st.integers(0, 2**32 - 1))
-def test_a_stamp_keeps_every_nanosecond(sec, nanosec):
-    """Give integer nanoseconds, and no stamp for a second or more of nanoseconds."""
-    stamp_ns = conversions.stamp_to_ns(Time(sec=sec, nanosec=nanosec))
-    assert stamp_ns == (sec * 10**9 + nanosec if nanosec < 10**9 else messages.NO_STAMP)
-
-
 def test_predictions_and_payloads_become_messages():
     """Put each number where it belongs; rotate the covariance of the pose to world axes."""
     now = STILL._replace(

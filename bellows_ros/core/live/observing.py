@@ -41,12 +41,12 @@ class Observing:
 
     def new_alarms(self) -> list[Alarm]:
         """Return the alarms since the last call."""
-        if len(self.alarms) == self._processed:
-            return []
         new, self._processed = self.alarms[self._processed:], len(self.alarms)
-        if any(alarm.kind == LOST and alarm.cup < 0 for alarm in new):
-            self._used_at_loss = self._package.observer.counts['used']
         return new
+
+    def lose(self) -> None:
+        """Note the loss of the package, after which poses may show the next one."""
+        self._used_at_loss = self._package.observer.counts['used']
 
     def note_loss(self, stamp_ns: int) -> None:
         """Raise the alarm on a loss indicated by the vacuum, unless a sensor has raised it."""

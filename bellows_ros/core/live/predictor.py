@@ -463,6 +463,7 @@ class LivePredictor:
             self.use(self._given)
         if any(alarm.kind == LOST and alarm.cup < 0 for alarm in new) and self.state in ON_CUP:
             self._cycle.end(LOST)
+            self._observing.lose()
             if not (self._cycle.valve is self._cycle.vacuum is None):  # they show the next package
                 self._attach(False)
 
