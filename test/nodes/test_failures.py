@@ -114,7 +114,7 @@ def test_every_pair_of_severities_is_logged(node, monkeypatch, capfd):
     for number, level in enumerate(ALL_PAIRS):
         for name in ('prediction', 'tool pose', 'tool twist', 'load'):
             node.diagnostics._log(Status(name, fact(
-                'plan', Level(level), words=f'{name} {number} is {level}'), {}), True)
+                'state', Level(level), state=f'{name} {number} is {level}'), {}), True)
     log = capfd.readouterr().err.splitlines()
     for line, word in (('prediction', 'ERROR'), ('load', 'ERROR'), ('tool pose', 'WARN')):
         assert any(f'[{word}]' in text and f'{line} 4 is 2' in text for text in log)
