@@ -64,11 +64,11 @@ def test_nobody_silent_and_good(listener, partner):
     assert listener.sees('tool pose', ERROR, 'No message on /tool_arm/pose so far')
     assert listener.sees('prediction', OK, 'Waiting')
     with sending(partner):
-        assert listener.sees('tool pose', OK, 'Hz.')
+        assert listener.sees('tool pose', OK, 'Hz')
         ages = [float(listener.value('tool pose', f'age {name} (s)'))
                 for name in ('p50', 'p99', 'max')]
         assert 0.0 < ages[0] <= ages[1] <= ages[2] and ages[0] < 1.0
-        assert listener.sees('prediction', OK, 'Predicting.')
+        assert listener.sees('prediction', OK, 'Predicting')
         assert float(listener.value('prediction', 'compute time p99 (us)')) > 0.0
     assert listener.sees('prediction', ERROR, 'Lost')
     assert listener.sees('load', OK, 'safety factor of the grip is unknown')
