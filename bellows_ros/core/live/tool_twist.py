@@ -317,6 +317,7 @@ class ToolMotion:
         self._tip: tuple[Vector, Quaternion] | None = None
         self._recent: deque[State] = deque(maxlen=LATER_POSES + 1)
         self.estimated = self.missed = 0
+        self._lag, self._products = 0.0, np.zeros(4)  # see `misfit`, and their number
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
@@ -325,11 +326,11 @@ class ToolMotion:
             tuple(tip[:3, 3].tolist()), tuple(rotation_to_quaternion(tip[:3, :3]).tolist()))
 
     def clear(self) -> None:
-        """Forget all poses and the comparison of twists."""
+        """Forget all poses and the comparison of twists, but not the lag."""
         self._count = self._origin_ns = self._compared = 0
         self._recent.clear()
         self._due_ns = -1
-        self._squares, self._products, self._lag = (0.0, 0.0), np.zeros(3), 0.0  # see `misfit`
+        self._squares = 0.0, 0.0  # see `misfit`
 
     def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
         """Return the pose of E in the world from the pose of the frame, m."""
@@ -353,7 +354,12 @@ class ToolMotion:
     def measured(
         self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
     ) -> tuple[State, float]:
-        """Return the result of `with_measured_twist` for E at the newest pose."""
+        """
+        Return the result of `with_measured_twist` for E at the newest pose.
+
+        Twists are compared while a package is held (seconds > 0), because a tool without a
+        package may jump.
+        """
         q = pose.quaternion_xyzw
         if self._tip is not None:
             twist = _at_tip(twist, *self._tip, q, self._in_world)
@@ -361,7 +367,7 @@ class ToolMotion:
             before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds,
             self._lag)
         self._recent.append(now)
-        if len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
+        if seconds > 0.0 and len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
             self._due_ns = pose.stamp_ns + PERIOD_NS
             span = self._rows[self._count - 1][0] - self._rows[self._count - 1 - LATER_POSES][0]
             energy, deviation, *products = misfit(
@@ -369,15 +375,15 @@ class ToolMotion:
             self._squares = (FORGETTING * self._squares[0] + energy,
                              FORGETTING * self._squares[1] + deviation)
             self._compared += 1
-            self._products += products
+            self._products += *products, 1.0
             self._follow_lag()
         return now, excess
 
     def _follow_lag(self) -> None:
         """Approach the lag of the poses behind the twists, if it is significant."""
-        aa, ad, dd = self._products.tolist()
+        aa, ad, dd, count = self._products.tolist()
         found = ad / max(aa, 1e-12)
-        std = math.sqrt(max(dd - found * ad, 0.0) / (3.0 * self._compared * max(aa, 1e-12)))
+        std = math.sqrt(max(dd - found * ad, 0.0) / (3.0 * count * max(aa, 1e-12)))
         is_late = self.verdict == 'fits' and (
             max(LAG_RANGE[0], LAG_DEVIATIONS * std) < found < LAG_RANGE[1])
         step = 0.01 * PERIOD_NS / NS_PER_S  # 1 % of the speed
