@@ -134,7 +134,7 @@ def trial(cell: Cell, seed: int, duration: float, form: str) -> Trial:
     sizes = structure.sizes(cup.stiffness, cup.damping)
     start = Cup(2.0 * cup.stiffness, 2.0 * cup.damping, cup.length)
     free = weak_prior(APART) if cell.apart else {}
-    fit = output_error(recorded(seed, cell, duration), structure, start, None, free)
+    fit = output_error(recorded(seed, cell, duration), structure, start, free=free)
     seconds = time.process_time() - began
     (true,) = recorded(seed, cell._replace(apart=False), duration, 0.0)
     bound = bound_of(cup, structure, true, free)[:len(sizes)] / sizes
