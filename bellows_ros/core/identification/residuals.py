@@ -186,9 +186,9 @@ HUBER_STD = 3.0
 """Size beyond which differences count linearly instead of quadratically (Huber), standard
 deviations."""
 
-PATH_PART = 0.85
+PATH_PART = 0.5
 """Part by which the noise of the tool's path is renewed: errors that a step returns with a factor
-between -1.3 and 1, as the cup is not linear, then decay."""
+between -3 and 1, as the cup is not linear, then decay."""
 
 BLOCK_DURATION = 1.0
 """Length of the parts of a recording whose information is stored, s: some periods of a swing."""
@@ -487,7 +487,7 @@ def _whitened(
         for path in response.path]
     of_tool = np.sqrt(np.mean(
         np.einsum('fii->fi', whitening.total).real - of_poses / period, axis=0))
-    squares = found.values[found.used] ** 2
+    squares = values[found.used] ** 2
     total = np.mean(np.minimum(
         squares, HUBER_STD**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
     std = np.sqrt(np.maximum(total - of_tool**2, 0.1 * total))

@@ -266,6 +266,14 @@ def test_noise_of_the_tool_does_not_shake_the_simulated_package():
     assert np.all(np.abs(z.mean(axis=0)) < 2.8)
 
 
+def test_noise_of_slow_poses_is_learned_beside_noise_of_the_tool():
+    """A robot as noisy as the camera, whose noise else seems to vanish as its path is renewed."""
+    fits = [output_error([measured(seed, CAPTURE, CAPTURE)], AXISYMMETRIC, scaled(1.5))
+            for seed in range(2)]
+    assert all(fit.converged for fit in fits)
+    assert np.all(np.abs([z_of(fit)[:4] for fit in fits]) < 3.0)
+
+
 def test_gaps_and_outliers_are_bridged():
     own = measured(9)
     position, R = own.package.position.copy(), own.package.rotation.copy()
