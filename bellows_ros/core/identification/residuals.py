@@ -512,13 +512,13 @@ def _part_of_views(
     seen: Seen = segment.views.select(used).seen(
         motion, course.corners, problem.values(theta), problem.rows, problem.units,
         segment.context)
-    J = seen.views.maps @ at_stamps(segment.rows_ns, moved.columns, stamps[used])
-    J[:, :, :len(theta)] += seen.views.columns
+    J = seen.maps @ at_stamps(segment.rows_ns, moved.columns, stamps[used])
+    J[:, :, :len(theta)] += seen.columns
     scale = 1.0 / np.sqrt(seen.variance)
     innovations, J, slope, start, _ = _weighted(
-        seen.views.residuals * scale[:, None], J * scale[:, None, None], course.start)
+        seen.residuals * scale[:, None], J * scale[:, None, None], course.start)
     return Part(
-        innovations, seen.scale * seen.views.residuals, 6.0 * float(np.sum(np.log(seen.variance))),
+        innovations, seen.scale * seen.residuals, 6.0 * float(np.sum(np.log(seen.variance))),
         course._replace(start=start), course.std, *_blocks(J, slope, segment.period), seen.smear)
 
 

@@ -274,14 +274,3 @@ def _simulate(
         body = kernels.advance(model, body, before, after, durations[k], substeps[k])
         write_row(out[k + 1], body)
         before = after
-
-
-@entry
-def lip_wrenches(model: ModelTuple, tool: Array, body: Array) -> Array:
-    """Return the wrenches (N, 6) of the cup at the lip, in S axes, N and N m, of rows (N, 13)."""
-    out = np.empty((len(tool), 6))
-    for k in range(len(tool)):
-        f, m = kernels.lip_wrench(model, row_state(tool[k]), row_state(body[k]))
-        out[k, 0], out[k, 1], out[k, 2] = f
-        out[k, 3], out[k, 4], out[k, 5] = m
-    return out

@@ -8,13 +8,9 @@ marker), the scale and the clocks.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places
-from bellows_ros.core.geometry.jit import kernel
-from bellows_ros.core.model.equilibrium import pose_error
-from bellows_ros.core.model.kernels import State
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
 
@@ -28,89 +24,6 @@ CLOCKS = 'time_offset', 'clock_rate'
 """Nuisances whose derivatives are in units of the twist."""
 
 
-class Views(NamedTuple):
-    """
-    Measured poses of B, or the residuals of other views about a simulated package.
-
-    Fields in order: poses (N, 8) with their small delay (s) after a node; negative derivatives (N,
-    6, p) of the poses by the unknowns, in body axes (by clocks per unit of the simulated twist);
-    indices of the clocks among the unknowns; residuals (N, 6) and their derivatives (N, 6, 6) by
-    the package's error for other views, empty for poses.
-    """
-
-    rows: Array
-    columns: Array
-    clocks: Places
-    residuals: Array
-    maps: Array
-
-
-@kernel
-def observe(body: State, views: Views, i: int, M: Any, out: Any) -> None:
-    """
-    Write the residual (6,) of view i, and its derivative (6, 6) by the package's error.
-
-    Columns of clocks are multiplied by the twist.
-    """
-    if len(views.maps) > 0:
-        for j in range(6):
-            out[j] = views.residuals[i, j]
-            for k in range(6):
-                M[j, k] = views.maps[i, j, k]
-    else:
-        _observe_pose(body, views, i, M, out)
-
-
-@kernel
-def _observe_pose(body: State, views: Views, i: int, M: Any, out: Any) -> None:
-    """Write the residual (6,) of pose i, and its derivative (6, 6)."""
-    pose, columns = views.rows[i], views.columns[i]
-    shift, rotation = pose_error(
-        body, (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6]))
-    linear, angular = body[2], body[3]
-    for j in range(3):
-        M[j, j] = M[3 + j, 3 + j] = 1.0
-        out[j] = shift[j] - pose[7] * linear[j]
-        out[3 + j] = rotation[j] - pose[7] * angular[j]
-    for column in views.clocks:
-        for j in range(3):
-            columns[j, column] *= linear[j]
-            columns[3 + j, column] *= angular[j]
-
-
-def views(
-    poses: Trajectory, values: Values, places: Mapping[str, Places], units: Array,
-    context: Context, path: Trajectory, delays: Array,
-) -> Views:
-    """
-    Return the views of measured poses of B, corrected by the values of the nuisances.
-
-    Parameters
-    ----------
-    poses : Trajectory
-        N measured poses.
-    values, places : mapping
-        Nuisances by name: values, SI units, and their places among the p unknowns.
-    units : ndarray (p,)
-        Units of the unknowns.
-    context : tuple
-        See `Context`.
-    path : Trajectory
-        Smooth path of the tool.
-    delays : ndarray (N,)
-        Delays (s) of the poses after their nodes.
-
-    """
-    body = poses_of(poses, values, *context)
-    origins = poses_of(poses, {name: value for name, value in values.items() if name not in (
-        'com', 'package_marker')}, *context)
-    return Views(
-        np.column_stack([body.position, lie.rotation_to_quaternion(body.rotation), delays]),
-        columns_of(body, values, places, len(units), context, carried(origins, path)) * units,
-        np.array([int(place) for name in CLOCKS for place in places.get(name, ())],
-                 dtype=np.int64), np.empty((0, 6)), np.empty((0, 6, 6)))
-
-
 def columns_of(
     poses: Trajectory, values: Values, places: Mapping[str, Places], count: int, context: Context,
     scaled: Trajectory,
@@ -119,7 +32,7 @@ def columns_of(
     Return the negative derivatives (N, 6, p) of the poses of B by p unknowns.
 
     The derivative by the scale uses positions of other poses, without the noise of the measured
-    poses.
+    poses, which would bias the scale towards zero.
     """
     columns = np.zeros((len(poses), 6, count))
     for name, place in places.items():
@@ -166,18 +79,6 @@ def middle_of(package: Trajectory) -> Array:
     return np.append(used.position.mean(axis=0), used.stamps_ns[0] / NS_PER_S)
 
 
-def carried(package: Trajectory, tool: Trajectory) -> Trajectory:
-    """
-    Return the poses of a package that is fixed to the tool on its smooth path.
-
-    Noisy positions in the derivative by their scale would bias the scale towards zero.
-    """
-    nearest = np.minimum(np.searchsorted(tool.stamps_ns, package.stamps_ns), len(tool) - 1)
-    position, R = tool.position[nearest], tool.rotation[nearest]
-    offset = lie.apply(np.swapaxes(R, 1, 2), package.position - position).mean(axis=0)
-    return replace(package, position=position + R @ offset, rotation=R)
-
-
 def pose_changes(
     name: str, size: int, package: Trajectory, values: Values, moves: Array, middle: Array,
     camera: Array | float = 0.0,
@@ -196,7 +97,7 @@ def pose_changes(
         change -= 1.0
     elif name == 'clock_rate':
         change -= (package.stamps_ns / NS_PER_S - middle[3])[:, None, None]
-    elif name == 'scale':  # of smooth poses, see `carried`
+    elif name == 'scale':  # of smooth poses
         camera = middle[:3] + world[:3] + lie.exp_so3(world[3:]) @ (camera - middle[:3])
         change[:, :3, 0] = lie.apply(
             np.swapaxes(package.rotation, 1, 2), package.position - camera) / (

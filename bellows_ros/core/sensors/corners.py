@@ -360,11 +360,14 @@ class Seen(NamedTuple):
     """
     Views of a tag about a simulated package.
 
-    Fields in order: residuals; their variances (N,), rad^2; smears (N,) by motion during the
-    exposure, rad; effect (6,) of a residual on the pose, m and rad per rad.
+    Fields in order: residuals (N, 6), rad; their negative derivatives by the unknowns (N, 6, p)
+    and by the package's error (N, 6, 6); their variances (N,), rad^2; smears (N,) by motion during
+    the exposure, rad; effect (6,) of a residual on the pose, m and rad per rad.
     """
 
-    views: poses.Views
+    residuals: Array
+    columns: Array
+    maps: Array
     variance: Array
     smear: Array
     scale: Array
@@ -458,7 +461,7 @@ class TagViews:
         noise : CornerNoise
             Noise of the corners.
         values, places, units, context
-            Nuisances, as in `body.views`.
+            Nuisances, as in `body.columns_of`.
 
         """
         at = self.corrected(values, *context[:2])
@@ -476,8 +479,7 @@ class TagViews:
         columns[:, :, places.get('exposure', [])] = 2.0 * mean * change * out[:, :6, 1:]
         inverse = np.linalg.inv(np.mean(np.swapaxes(maps, 1, 2) @ maps, axis=0))
         return Seen(
-            poses.Views(np.empty((len(motion), 8)), columns * units, np.empty(0, np.int64),
-                        out[:, :6, 0] - mean * change**2 * out[:, :6, 1], maps),
+            out[:, :6, 0] - mean * change**2 * out[:, :6, 1], columns * units, maps,
             noise.variance(exposure * speed, self.frames), exposure * speed,
             np.sqrt(np.diag(inverse)))
 
