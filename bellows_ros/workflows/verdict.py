@@ -23,6 +23,7 @@ from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.recording import Recording
+from bellows_ros.core.sensors import body
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
@@ -483,6 +484,8 @@ DIFFERING: Mapping[str, Callable[[Cause, Given], Differing]] = {
 MORE: Mapping[str, Callable[[Cause, Given], dict[str, Any]]] = {
     'time_offset': lambda cause, given: {
         'size': f'{1e3 * abs(cause.theta[0]):.3f} ± {1e3 * cause.std[0]:.2g} ms'},
+    'exposure': lambda cause, given: {
+        'time': body.EXPOSURE * math.sqrt(max(float(cause.theta[0]), 0.0))},
     'package_world': lambda cause, given: {
         'why': alignment.motion_words(cause.theta, cause.std)},
     'slip': lambda cause, given: {

@@ -31,7 +31,8 @@ import numpy as np
 from scipy.special import chdtri
 
 CANDIDATES = ('time_offset', 'clock_rate', 'com', 'length', 'length_drift', 'mass', 'inertia',
-              'gravity', 'package_world', 'scale', 'package_marker', 'tool_marker', 'relaxation')
+              'gravity', 'package_world', 'scale', 'package_marker', 'tool_marker', 'relaxation',
+              'exposure')
 """Quantities that may be wrong."""
 
 UNLIKELY = ('tool_marker', 'relaxation')
@@ -116,7 +117,8 @@ def significant(found: Solution, given: Free) -> dict[str, float]:
     stated = {name for name in given.keys() & places.keys()
               if np.array_equal(given[name], problem.free[name])}
     known = {*(places.keys() - stated), *(UNLIKELY if found.fits else ()),
-             'mass' if 'inertia' in places else 'inertia'}
+             'mass' if 'inertia' in places else 'inertia',
+             *(('exposure',) if 'exposure' in places or not problem.is_slow else ())}
     if known & set(MARKERS) & places.keys():
         known.update(MARKERS)
     falls = scores(found, [name for name in CANDIDATES if name not in known])

@@ -419,6 +419,11 @@ def _part_of_poses(
     columns = body.columns_of(there, free, problem.rows, size, segment.context, package)
     for name in problem.rows.keys() & set(body.CLOCKS):
         columns[:, :, problem.rows[name]] *= package.twist[:, :, None]
+    if 'exposure' in problem.rows and segment.views is None:
+        bend = body.EXPOSURE**2 / 24.0 * at_stamps(
+            segment.rows_ns, _accelerations(moved.rows), stamps)
+        e -= free['exposure'] * bend
+        columns[:, :, problem.rows['exposure']] = bend[:, :, None]
     counts = np.bincount(place, minlength=bins).astype(float)
     seen = counts > 0
     mean_ns = np.full(bins, 0, dtype=np.int64)
@@ -498,6 +503,13 @@ def _whitened(
         np.maximum(std, MIN_POSE_STD), *_blocks(J, slope, period), np.empty(0))
 
 
+def _accelerations(rows: Array) -> Array:
+    """Return the acceleration of B and the angular one (M, 6), body axes, of rows (M, 13)."""
+    rates = np.gradient(rows[:, 7:], ROW_NS / NS_PER_S, axis=0)
+    rates[:, :3] += np.cross(rows[:, 10:], rows[:, 7:10])
+    return rates
+
+
 def _part_of_views(
     problem: Problem, theta: Array, segment: Segment, course: Course, moved: Simulation,
     stamps: Stamps, used: Mask,
@@ -505,10 +517,8 @@ def _part_of_views(
     """Return the whitened differences of a tag."""
     assert segment.views is not None
     package = _package_at(segment, moved.rows, stamps[used])
-    rates = np.gradient(moved.rows[:, 7:], ROW_NS / NS_PER_S, axis=0)
-    rates[:, :3] += np.cross(moved.rows[:, 10:], moved.rows[:, 7:10])
     motion = np.hstack([simulation.tool_rows(package), at_stamps(
-        segment.rows_ns, rates, stamps[used])])
+        segment.rows_ns, _accelerations(moved.rows), stamps[used])])
     seen: Seen = segment.views.select(used).seen(
         motion, course.corners, problem.values(theta), problem.rows, problem.units,
         segment.context)

@@ -20,6 +20,9 @@ Values = Mapping[str, Array]
 Context = tuple[Array, Array, Array | float]
 """Components (3,) of the com that shift B, middle (4,) and camera (3,): see `poses_of`."""
 
+EXPOSURE = 1.0 / 30.0
+"""Exposure (s) of a quantity `exposure` of 1, its square: the longest of a common camera."""
+
 CLOCKS = 'time_offset', 'clock_rate'
 """Nuisances whose derivatives are in units of the twist."""
 
