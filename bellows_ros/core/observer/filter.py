@@ -368,6 +368,32 @@ def predicted(
 
 
 @entry
+def followed(
+    row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
+    stamp_ns: int, start: State, end: State, max_step: float, reach: float,
+) -> tuple[State, Wrench, bool]:
+    """Store another sample of the tool; return the package there, and `checked_wrench`."""
+    model, max_step = dynamics.model_at(row, law, theta), dynamics.stable_step(max_step, theta)
+    stamps, starts, ends, bodies, k = samples
+    stamps[k] = stamp_ns
+    write_row(starts[k], start)
+    write_row(ends[k], end)
+    seconds, tool, bias = (stamp_ns - stamps[k - 1]) / NS_PER_S, start, dynamics.wrench_bias(theta)
+    parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
+    part = seconds / parts
+    for i in range(parts):
+        tool_end = end
+        if i < parts - 1:
+            tool_end = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / parts)
+        body = dynamics.advanced_with_wrench(
+            model, bias, body, tool, tool_end, part, substeps_for(part, max_step))
+        tool = tool_end
+    write_row(bodies[k], body)
+    wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
+    return body, wrench, is_sound
+
+
+@entry
 def body_at_end(
     row: Any, law: LawTuple, beginning: Moving, samples: Samples, until_ns: int,
     max_step: float,
@@ -377,21 +403,3 @@ def body_at_end(
     return propagated(
         kernels.model_of(row, law), beginning, none, none, samples, False, until_ns, max_step,
         np.zeros((0, 0, 0)), 0.0)[1]
-
-
-@entry
-def followed(
-    row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
-    stamp_ns: int, start: State, end: State, max_step: float, reach: float,
-) -> tuple[State, Wrench, bool]:
-    """Store another sample of the tool; return the package there, and `checked_wrench`."""
-    stamps, starts, ends, bodies, k = samples
-    stamps[k] = stamp_ns
-    write_row(starts[k], start)
-    write_row(ends[k], end)
-    body = body_at_end(
-        row, law, (stamps[k - 1], start, body, theta), (stamps, starts, ends, bodies, k + 1),
-        stamp_ns, max_step)
-    wrench, is_sound = kernels.checked_wrench(
-        dynamics.model_at(row, law, theta), end, body, reach)
-    return body, wrench, is_sound
