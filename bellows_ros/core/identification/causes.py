@@ -101,6 +101,8 @@ def causes_of(found: Solution, given: Free) -> tuple[Cause, ...]:
     tried = sorted((one for one in tried if one.gain > limit_of(one.found, one.name) and not (
         one.name == 'slip' and one.gain < 1.1 * gains.get('com', 0.0))),
         key=attrgetter('gain'), reverse=True)
+    if found.fits:  # what contradicts no given value, and hardly moves K, is harmless
+        tried = [one for one in tried if one.name in given or _moved(found, one) > MATERIAL]
     rivals = falls | gains
     beyond = found.squares - found.residual_count + float(found.problem.weights @ found.theta**2)
     causes = [_cause(found, one, beyond, rivals) for one in tried]
@@ -169,14 +171,19 @@ def _is_certain(best: Alternative, rivals: Mapping[str, float], given: Free) -> 
             name not in alike)}).keys() & given.keys())
 
 
+def _moved(end: Solution, one: Alternative) -> float:
+    """Return the largest relative change of an entry on the diagonal of K by a freed quantity."""
+    return float(np.max(np.abs(
+        np.diag(one.found.cup.stiffness) / np.diag(end.cup.stiffness) - 1.0)))
+
+
 def _cause(
     end: Solution, one: Alternative, beyond: float, rivals: Mapping[str, float]
 ) -> Cause:
     """Return the finding of a freed quantity by the chi² beyond noise, without a claim."""
     name, problem = one.name, one.found.problem
     theta, std = one.found.estimate(name)
-    moved = float(np.max(np.abs(
-        np.diag(one.found.cup.stiffness) / np.diag(end.cup.stiffness) - 1.0)))
+    moved = _moved(end, one)
     alike = ALIKE.get(name, '')
     is_open = name in ('com', 'length') and np.argmax(np.abs(theta)) == len(theta) - 1 and (
         alike in problem.places
