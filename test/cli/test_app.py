@@ -60,6 +60,18 @@ for line in {lines!r}:
         assert f'exit 0 {line} []\n' in done.stdout, done.stdout + done.stderr
 
 
+def test_info_loads_no_part_of_scipy_that_only_other_commands_use(user_environment, root):
+    code = f"""
+import sys
+from bellows_ros.cli import main
+print('exit', main(['info', {str(root / 'bags/identification')!r}]), [
+    name for name in ('scipy.signal', 'scipy.stats', 'scipy.optimize') if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, '-c', code], env=user_environment, capture_output=True, text=True)
+    assert 'exit 0 []\n' in done.stdout, done.stdout + done.stderr
+
+
 @pytest.mark.parametrize(('arguments', 'named'), [
     (['indentify'], "'indentify'.*'identify'"), (['xyz'], "'xyz'.*identify"),
     (['replay'], 'BAG'), (['simulate', '--out', 'x'], '--motion'), ([], 'Commands:'),

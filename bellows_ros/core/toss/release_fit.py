@@ -29,9 +29,7 @@ from bellows_ros.core.toss.landing import as_law
 from bellows_ros.core.toss.release import NO_GRIP
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.signal import savgol_filter
-from scipy.special import ndtri, stdtrit
+import scipy  # whose parts are loaded as they are used
 
 MIN_DROPS = 3
 """Smallest number of drops: two have no scatter beside their delays."""
@@ -297,7 +295,7 @@ def _fitted(drops: Sequence[Drop], start: Array, expected: Array) -> Any:
 
     middle, own = np.append(expected, np.zeros(count)), np.zeros(count)
     reach = np.append(np.full(6, 5.0 * PRIOR_STD), np.full(count, 2.0 * MAX_OWN))
-    return least_squares(
+    return scipy.optimize.least_squares(
         residuals, np.append(start, own), slopes, (middle - reach, middle + reach),
         x_scale='jac', ftol=1e-6, max_nfev=60)
 
@@ -333,7 +331,7 @@ def _clustered(gradients: Array, inverse: Array) -> Array:
     """
     moves = (gradients - gradients.mean(axis=0)) @ inverse
     degrees = len(moves) - 1.0
-    factor = stdtrit(degrees, 0.975) / ndtri(0.975)
+    factor = scipy.special.stdtrit(degrees, 0.975) / scipy.special.ndtri(0.975)
     return np.asarray(factor**2 * len(moves) / degrees * moves.T @ moves)
 
 
@@ -364,7 +362,7 @@ def half_window(seconds: Array) -> int:
 def _derivative(values: Array, seconds: Array, order: int) -> Array:
     """Return a derivative (N - 2 n, M) of local polynomials, without half windows at the ends."""
     n = half_window(seconds)
-    return np.asarray(savgol_filter(
+    return np.asarray(scipy.signal.savgol_filter(
         values, 2 * n + 1, ORDER, order, float(np.median(np.diff(seconds))), axis=0)[n:-n])
 
 
