@@ -288,9 +288,9 @@ MAX_VIEWS = 1
 slower than arms."""
 
 
-class Observing:
+class PackageInput:
     """
-    Subscriber to measured poses of the package, and the outputs of the observer.
+    Subscribers to measurements of the package, and the outputs of its observer.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from std_msgs.msg import Bool
 
 from .conversions import reader, TOOL_POSES, type_name
 from .guarding import ManagedNode
-from .inputs import Attachment, Observing, SensorInput, TransformInput
+from .inputs import Attachment, PackageInput, SensorInput, TransformInput
 from .outputs import Outputs, Predicting
 from .planning import Planning
 from ..core.geometry.arrays import Array
@@ -99,7 +99,7 @@ class Pipeline(Predicting):
         self.planning = Planning(self)
         node.create_subscription(
             Bool, 'vacuum/valve', lambda message: self.switch_valve(message.data), 10)
-        self.observing = Observing(self)
+        self.observing = PackageInput(self)
         # each costs as much as a message
         node.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
