@@ -76,7 +76,7 @@ def causes_of(found: Solution, given: Free) -> tuple[Cause, ...]:
     """
     Return the causes of a misfit, or of wrong given values, the likeliest first.
 
-    An unknown cause is before them if they leave a misfit.
+    With a misfit left by all of them, the unknown cause is the first.
 
     Parameters
     ----------

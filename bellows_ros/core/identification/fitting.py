@@ -562,7 +562,7 @@ def fit(
     standstills : sequence of Standstill
         Standstills of the cup, whose balance is part of a fit by output error.
     pairs : Held, optional
-        Pairs of `pair_of`, necessary for reduced recordings.
+        Pairs of `pair_of`; required for reduced recordings.
 
     Raises
     ------

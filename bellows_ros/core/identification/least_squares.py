@@ -283,6 +283,13 @@ def lip_noise(noise: FilterNoise, payload: Package, cup_length: float) -> Array:
     return variances
 
 
+def _energy_of_noise(parts: Sequence[Statistics], W: Array) -> Array:
+    """Return the information (2 p,) on K and P that noise alone would give, by weights W."""
+    basis = np.array(parts[0].structure.model_basis)
+    return np.concatenate([np.einsum('aji,jk,aki,i->a', basis, W, basis, variances)
+                           for variances in np.sum([each.noise for each in parts], axis=0)])
+
+
 def least_squares(parts: Sequence[Statistics]) -> Fit:
     """
     Fit K and P so that the cup's wrench is the wrench required by the motion (4.66, 4.74).
@@ -328,9 +335,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     meat = np.einsum('ij,ipjq->pq', W @ squares @ W, products)[:-1, :-1] / used
     freedom = 6.0 * sum(each.windows for each in parts) - len(x)
     covariance = inverse @ meat @ inverse * (6.0 * used / freedom if freedom > 0.0 else np.inf)
-    basis = np.array(structure.model_basis)
-    energy = np.concatenate([np.einsum('aji,jk,aki,i->a', basis, W, basis, variances)
-                             for variances in np.sum([each.noise for each in parts], axis=0)])
+    energy = _energy_of_noise(parts, W)
     is_identifiable = is_separable & (energy * np.diag(inverse) < MAX_NOISE_SHARE) & (
         np.sqrt(np.diag(covariance)) <= MAX_RELATIVE_ERROR * structure.sizes(
             *structure.matrices(x)))

@@ -393,7 +393,7 @@ class _Slot(NamedTuple):
 
 
 def _called(function: Callable[..., Any], slots: Sequence[Any], *values: Any) -> Any:
-    """Return the value of a function for a recording, with its values in the slots."""
+    """Return a function of one recording, called with its values in the slots."""
     left = (value if slot.part is None else value[slot.part] for slot, value in zip(
         (slot for slot in slots if isinstance(slot, _Slot)), values, strict=True))
     return function(*(next(left) if isinstance(slot, _Slot) else slot for slot in slots))
