@@ -1,7 +1,7 @@
 """
 Kill processes during their writing, and classify the remaining files.
 
-    python -m test.files.killed_writers FOLDER SEED KILLS
+    python -m test.files.killed_writers FOLDER KILLS
 
 A process of its own that forks the writers: what they write is made before, so that the kills
 fall into the writing. Prints for each kind of output how many kills left nothing, the old or the
@@ -95,12 +95,12 @@ def kill_one(path, write, after):
     assert os.WIFSIGNALED(status), path
 
 
-def kill_many(folder, name, rng, kills):
+def kill_many(folder, name, kills):
     """
     Kill writers of one kind of output, and count the remaining contents by kind.
 
-    The kills are spread evenly over the writing, each at random within its share of it: with few
-    of them, too, some come before the first output is whole and some after it.
+    The kills are spread evenly over the writing, the first at its begin: with few of them, too,
+    some come before the first output is whole and some after it.
     """
     folder.mkdir()
     contents, seconds = whole(folder, name)
@@ -111,7 +111,7 @@ def kill_many(folder, name, rng, kills):
         old = k % 2  # every other time there is nothing yet
         if old:
             WRITERS[name](folder / name, 0)
-        share = (k // 2 + rng.random()) / ((kills + 1) // 2)
+        share = k // 2 / ((kills + 1) // 2)
         kill_one(folder / name, WRITERS[name], share * LONG * seconds)
         found[judged(content(folder / name), contents, bool(old))] += 1
         left = [path.name for path in folder.iterdir() if path.name != name]
@@ -129,9 +129,9 @@ def judged(now, contents, old):
 
 def main():
     """Kill writers of every kind."""
-    folder, rng, kills = Path(sys.argv[1]), np.random.default_rng(int(sys.argv[2])), sys.argv[3]
+    folder, kills = Path(sys.argv[1]), int(sys.argv[2])
     print(json.dumps({
-        name: kill_many(folder / f'of_{name}', name, rng, int(kills)) for name in WRITERS}))
+        name: kill_many(folder / f'of_{name}', name, kills) for name in WRITERS}))
 
 
 if __name__ == '__main__':

@@ -25,7 +25,7 @@ def killed(tmp_path_factory):
     """Kill writers of every kind, and provide what they left."""
     folder = str(tmp_path_factory.mktemp('k'))
     done = subprocess.run(
-        [sys.executable, '-m', killed_writers.__name__, folder, '7', str(KILLS)],
+        [sys.executable, '-m', killed_writers.__name__, folder, str(KILLS)],
         cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
