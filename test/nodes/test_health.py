@@ -96,7 +96,7 @@ def test_two_publishers_of_a_topic_are_named(ros, listener, make_partner):
         assert listener.sees('tool pose', WARN, 'several publishers: other, partner')
         for writer in wrenches:
             writer.publish(stamped(WrenchStamped(), time.time_ns()))
-        assert listener.sees('wrench', WARN, 'several publishers: other, partner')
+        assert listener.sees('wrench', ERROR, 'several publishers: other, partner')
 
 
 def test_pause_is_bridged_by_odometry_up_to_the_limit(make_partner):
