@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 import heapq
 from itertools import repeat
+import os
 from pathlib import Path
 import sqlite3
 from typing import Any, NamedTuple
@@ -362,9 +363,8 @@ def write_bag(
     """
     if not any(len(r.stamps_ns) for r in recorded):
         raise BellowsError(f"Recording '{path}' would be empty. Give messages to record.")
-    if replace:
-        _require_replaceable(Path(path))
-    with atomic.new_folder(path, replace) as folder:
+    _require_replaceable(Path(path), replace)
+    with atomic.whole(path, is_folder=True) as folder:
         # ROS 2 Jazzy writes version 9 of metadata.yaml.
         writer = Writer(folder, version=9, storage_plugin=STORAGES[storage])
         if zstd:
@@ -389,13 +389,15 @@ def _write(writer: Writer, recorded: Sequence[Encoded]) -> None:
         writer.write(connections[names[number]], log_time_ns, data)
 
 
-def _require_replaceable(folder: Path) -> None:
-    """Raise for a folder that contains anything but a recording."""
-    names = [p.name for p in folder.iterdir()] if folder.is_dir() else [METADATA]
-    strange = [name for name in names if name != METADATA
-               and not name.endswith(('.mcap', '.db3', '.zstd'))]
-    if strange or METADATA not in names:
-        why = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
-        raise BellowsError(
-            f"Folder '{folder}' is not replaced because it is not just a recording: {why}. "
-            'Give another name, or remove it first.')
+def _require_replaceable(folder: Path, replace: bool) -> None:
+    """Raise for a folder that may not be replaced, or contains anything but a recording."""
+    atomic.require_absent(folder, replace)
+    if atomic.require_target(folder, is_folder=True).exists():
+        names = os.listdir(folder)
+        strange = [name for name in names if name != METADATA
+                   and not name.endswith(('.mcap', '.db3', '.zstd'))]
+        if strange or METADATA not in names:
+            why = f"it holds '{strange[0]}'" if strange else f'it has no {METADATA}'
+            raise BellowsError(
+                f"Folder '{folder}' is not replaced because it is not just a recording: {why}. "
+                'Give another name, or remove it first.')

@@ -14,7 +14,7 @@ from importlib import metadata
 import json
 import math
 import os
-from pathlib import Path, PurePath
+from pathlib import Path
 import platform
 import re
 import tomllib
@@ -24,7 +24,6 @@ from bellows_ros.core.identification.result import POSE_UNITS, UNITS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, File
 from bellows_ros.version import __version__
-import numpy as np
 
 UNIT_OF: Mapping[str, Any] = {
     **{name: [[units[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]
@@ -65,7 +64,7 @@ def write_json(path: File, content: Any) -> None:
 
 def format_json(content: Any) -> str:
     """Return JSON text with one line per key and per row of a matrix."""
-    text = json.dumps(plain(content), indent=2, allow_nan=False)
+    text = json.dumps(plain(content), indent=2, default=os.fspath)
     return re.sub(r'\[\n[^][{}]*\n *\]', lambda row: re.sub(
         r'\n *', ' ', row[0]).replace('[ ', '[').replace(' ]', ']'), text) + '\n'
 
@@ -78,23 +77,16 @@ def plain(value: Any, units: bool = False) -> Any:
     Python, NaN and infinity become None. With units, every mapping also has the units of its
     numbers by `UNIT_OF`.
     """
-    if hasattr(value, 'as_json'):
-        value = value.as_json()
-    elif is_dataclass(value):
-        value = {field.name: getattr(value, field.name) for field in fields(value)}
-    elif hasattr(value, '_asdict'):
-        value = value._asdict()
+    for name in ('as_json', '_asdict', 'tolist'):
+        if hasattr(value, name):
+            return plain(getattr(value, name)(), units)
+    if is_dataclass(value):
+        value = attributes(value, *(field.name for field in fields(value)))
     if isinstance(value, Mapping):
         return with_units(value, units)
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item, units) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, PurePath):
-        return str(value)
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def with_units(content: Mapping[str, Any], add: bool = True) -> dict[str, Any]:
@@ -126,8 +118,9 @@ def digests(path: File) -> list[dict[str, Any]]:
     try:
         for file in sorted(filter(Path.is_file, top.iterdir())) if top.is_dir() else [top]:
             with file.open('rb') as stream:
-                sha256 = hashlib.file_digest(stream, 'sha256').hexdigest()
-                found.append({'name': file.name, 'bytes': stream.tell(), 'sha256': sha256})
+                found.append({
+                    'name': file.name, 'bytes': file.stat().st_size,
+                    'sha256': hashlib.file_digest(stream, 'sha256').hexdigest()})
         return found
     except OSError as error:
         raise BellowsError(f"'{path}' cannot be read for its digest: {error.strerror}.") from None

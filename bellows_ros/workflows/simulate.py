@@ -126,8 +126,8 @@ def simulate_recording(
         tool = in_world(read_plan(plan, values).tool, R_world_level.T)
         recipe = recipe._replace(motion=planned(tool))
     bag = Path(out)
-    atomic.require_folder_target(bag)
-    truth_file = atomic.require_file_target(
+    atomic.require_target(bag, is_folder=True)
+    truth_file = atomic.require_target(
         bag.with_name(f'{bag.name}_truth.npz')) if recipe.truth else None
     plans = {
         name: sensing.schedule(
