@@ -138,12 +138,14 @@ def require_outputs(named: Iterable[Any], force: bool = False) -> None:
              for each in taken]
     for name in outputs:
         if name != STDOUT:
-            target = require_target(name, isinstance(name, Folder))
-            require_absent(name, force or not isinstance(name, Folder))
+            target = _without_links(name)
             for other in taken:
                 if target == other or target in other.parents or other in target.parents:
                     raise BellowsError(
-                        f"Output '{name}' would change '{other}'. Give a name elsewhere.")
+                        f"Output '{name}' would change the input or output '{other}'. Give a "
+                        'name elsewhere.')
+            require_target(name, isinstance(name, Folder))
+            require_absent(name, force or not isinstance(name, Folder))
             taken.append(target)
 
 
