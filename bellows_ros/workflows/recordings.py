@@ -22,7 +22,6 @@ from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.sensors.body import middle_of
-from bellows_ros.core.sensors.corners import CornerNoise
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
@@ -464,9 +463,6 @@ def _registered(
         pose = frames.shifted_pose(pose, settings.R_world_recorded, middle_of(
             recording.tracked_package)[:3], world)
         changes['package_world'] = prepared.PackageWorld(pose, world_std)
-    if settings.tag and found:
-        settings = replace(settings, tag=replace(
-            settings.tag, noise=CornerNoise(*found.noise_in_motion[0].tolist())))
     marker, _ = estimates.get('package_marker', (np.zeros(6), None))
     recording = filtered(_realigned(recording.alignment, marker))
     if is_late:

@@ -499,7 +499,7 @@ def registered(
 
     """
     segments = here([segments_of(measured_segments(recording))])
-    found = minimise(Problem.of(segments, structure, start, free))
+    found = minimise(Problem.of(segments, structure, start, free, is_rough=True))
     if found.converged:
         return found
     if list(free) == ['time_offset']:
