@@ -476,7 +476,7 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
         arguments.steer) else workflow.plan(
             arguments.plan, values, seek_fastest=arguments.fastest, **more)
     if arguments.out:
-        tool, states, *_ = result.driven
+        tool, states = result.driven
         workflow.write_prediction(arguments.out, result.source, tool, states, arguments.force)
     return Outcome(partial(print_steered if arguments.steer else print_plan, result), result)
 

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, quaternion_to_rotation
-from bellows_ros.core.model.simulation import ToolRows
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import AXES, Comparison, DISPLAY_FACTORS, DISPLAY_UNITS
@@ -43,8 +42,6 @@ FRAME_RATE = 12.0
 """Frames of an animation per second."""
 SHORTEST, LONGEST = 6.0, 20.0
 """Durations of an animation, s: shorter motions are slowed down, longer ones are cut."""
-TAIL = 1.0
-"""Time shown after the end of a plan, s."""
 MIN_SPAN = np.repeat([2.0, 0.1], 3)
 """Smallest range of an axis with measured coordinates, mm and degrees: the noise of cameras."""
 GAP_PERIODS = 3.0
@@ -225,14 +222,17 @@ def plan_figure(report: Any) -> Any:
 
 def steer_figure(report: Any) -> Any:
     """Draw the bending of the cup and the path length of the tool in several motions."""
+    from bellows_ros.workflows.plan import bending
+
     with picture('The motion as planned and steered', report.source.path) as figure:
         tilts, paths = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
-        for (name, motion), colour in zip(report.motions.items(), THREE, strict=False):
-            t, tool = motion.along.seconds, motion.along.position
-            tilts.plot(t, np.degrees(motion.tilt), color=colour, label=name)
-            paths.plot(t, np.linalg.norm(tool - tool[0], axis=1), color=colour)
+        for (name, (tool, package)), colour in zip(
+                report.scenes().items(), THREE, strict=False):
+            tilts.plot(tool.seconds, np.degrees(bending(tool.rotation, package.rotation)),
+                       color=colour, label=name)
+            paths.plot(tool.seconds, np.linalg.norm(tool.position - tool.position[0], axis=1),
+                       color=colour)
         tilts.set_title('bending of the cup (deg)')
-        tilts.set_xlim(0.0, TAIL + max(m.tool.seconds[-1] for m in report.motions.values()))
         tilts.legend()
         paths.set(title='distance of the tool from its start (m)', xlabel='time (s)')
     return figure
@@ -294,21 +294,10 @@ def replay_scenes(result: Any) -> Iterator[Scene]:
     yield Scene(f'{result.bag}; violet: measured', tool, package, outline, result.values)
 
 
-def steer_scenes(report: Any) -> Iterator[Scene]:
-    """Yield the motions as planned and as steered."""
-    for name in ('as planned', report.method):
-        if motion := report.motions.get(name):
-            last = motion.tool.seconds[-1] + TAIL
-            package = ToolRows(motion.along.stamps_ns, motion.states).trajectory()
-            tool, package = (body.select(motion.along.seconds <= last)
-                             for body in (motion.along, package))
-            yield Scene(name, tool, package, None, report.source.values)
-
-
 def plan_scenes(result: Any) -> Iterator[Scene]:
-    """Yield the predicted motion along a plan, or a toss until its landing."""
-    tool, package = result.bodies
-    yield Scene(result.source.path, tool, package, None, result.source.values)
+    """Yield the predicted motions along a plan, or a toss until its landing."""
+    for title, (tool, package) in result.scenes().items():
+        yield Scene(title, tool, package, None, result.source.values)
 
 
 def animation(scenes: Sequence[Scene]) -> bytes:
@@ -375,5 +364,5 @@ def _bodies(panel: Any, scene: Scene, t: float) -> list[Any]:
 
 DRAWINGS: Mapping[str, tuple[Callable[[Any], Any], Callable[[Any], Iterator[Scene]]]] = {
     'Replay': (replay_figure, replay_scenes), 'PlanReport': (plan_figure, plan_scenes),
-    'SteerReport': (steer_figure, steer_scenes), 'TossResult': (toss_figure, plan_scenes)}
+    'SteerReport': (steer_figure, plan_scenes), 'TossResult': (toss_figure, plan_scenes)}
 """Functions that draw a result of a type: its figure, and the scenes of its animation."""

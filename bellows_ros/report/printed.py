@@ -193,11 +193,8 @@ def print_plan(report: PlanReport, out: Any) -> None:
     if report.used:
         out.table([('limit', 'used'), *(
             (name, f'{100.0 * part:.0f} %') for name, part in report.used.items())], right=True)
+    out.paragraph(*(text_of(each) for each in report.findings if each.level == Level.OK))
     out.warn(*report.warnings)
-    if report.fastest and report.driven[2]:
-        out.paragraph(
-            f'The limit {report.driven[2]} of the arm needs '
-            f'{report.driven[0].seconds[-1]:.3f} s; --out writes that motion.')
     if not (report.warnings or out.asked):
         out.line('The grip holds' + (
             ', within the validity range.' if any(source.values.envelope.rates) else
@@ -247,11 +244,11 @@ def print_steered(report: SteerReport, out: Any) -> None:
          'settled s', 'safety')]
     for name, motion in report.motions.items():
         figures = motion.summary()
-        expected = figures['expected_swing'] if report.uncertain else math.nan
         rows.append((
             name, f'{figures["duration"]:.3f}', f'{figures["added_time"]:.3f}',
             *(formatted(angle, '.3f', factor=math.degrees(1.0))
-              for angle in (figures['peak_bending'], figures['swing_left'], expected)),
+              for angle in (figures['peak_bending'], figures['swing_left'],
+                            figures['expected_swing'])),
             formatted(figures['settled_after'], '.2f'),
             formatted(figures['smallest_safety_factor'], '.2f')))
     out.table(rows, right=True)

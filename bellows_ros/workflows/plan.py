@@ -1,6 +1,6 @@
 """Prediction of a planned motion with its uncertainty, and the motion without swing."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
-from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.predictor import points_down
 from bellows_ros.core.model import simulation
@@ -25,7 +24,6 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import (
     demands,
-    exceeded,
     Fastest,
     fastest,
     first_allowed,
@@ -61,15 +59,6 @@ TAIL_SHOWN = 1.5
 STANDSTILL_STEP = 0.005
 """Spacing of the points after the end, s."""
 
-START_WINDOW = 0.2
-"""Duration of the fit of the initial twist in a recording, s."""
-
-MIN_START_POSES = 8
-"""Smallest number of poses for the initial twist."""
-
-START_DEVIATIONS = 3.0
-"""Largest fitted twist of a tool at rest, standard errors; false-alarm rate 0.3 %."""
-
 MAX_DRAWN_FACTOR = 1000.0
 """Largest safety factor drawn."""
 
@@ -102,8 +91,8 @@ class Source:
     frame_id : str
     notes : tuple of Finding
         Findings on reading the plan.
-    recorded : Trajectory or None
-        Measured poses of E; None for a planned motion.
+    recorded_ns : int array or None
+        Stamps of the measured poses, ns; None for a planned motion.
     path : str
         Path of the file.
     values : mapping
@@ -116,7 +105,7 @@ class Source:
     tool: Trajectory
     frame_id: str
     notes: tuple[Finding, ...] = ()
-    recorded: Trajectory | None = None
+    recorded_ns: Stamps | None = None
     path: str = ''
     values: Values = field(default_factory=lambda: Values({}))
     joints: Joints | None = None
@@ -142,7 +131,7 @@ class Source:
     @cached_property
     def gravity(self) -> Array:
         """Acceleration (3,) in the frame of the plan, m/s^2."""
-        world = 'z_up' if self.recorded is None else self.values.recording.world
+        world = 'z_up' if self.recorded_ns is None else self.values.recording.world
         R_model_plan = alignment.world_rotation(world, self.values.gravity.direction)
         return np.asarray(R_model_plan.T @ [0.0, 0.0, -self.values.gravity.magnitude])
 
@@ -156,6 +145,18 @@ class Source:
     def grip(self) -> Grip | None:
         """Grip of the cup; None if unknown."""
         return conversion.grip_of(self.values)
+
+    def bodies(self, tool: Trajectory, seconds: float) -> tuple[Trajectory, Trajectory]:
+        """Return a motion of the tool with a final standstill (s), and the package along it."""
+        tool = extended(tool, seconds)
+        states = PlanSimulation(self.model, None, tool, tail=0.0).states()
+        return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
+
+    def deviations(self, compute: Callable[[ModelTuple], Array]) -> Array:
+        """Return the standard deviations of a function of the model; 0 for exact parameters."""
+        _, parts = contributions(conversion.uncertain_of(self.values), self.model, compute)
+        return np.asarray(
+            np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(self.model))
 
 
 class OfPlan(CommandResult):
@@ -187,11 +188,6 @@ class Move(NamedTuple):
     end: float
     smallest_safety_factor: float
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the content for a JSON file."""
-        return {**self._asdict(), 'units': {
-            'begin': 's', 'end': 's', 'smallest_safety_factor': '1'}}
-
 
 @dataclass(frozen=True, eq=False)
 class PlanReport(OfPlan):
@@ -206,8 +202,6 @@ class PlanReport(OfPlan):
         Predicted motion of the package.
     std : mapping of str to float
         Standard deviation of each number of the prediction's summary.
-    outside : tuple of str
-        Sentences on exceeded validity ranges of the cup.
     fastest : Fastest or None
         Shortest safe time scale, None if not searched or not found.
     sought : bool
@@ -220,10 +214,9 @@ class PlanReport(OfPlan):
     source: Source
     prediction: PlanPrediction
     std: Mapping[str, float]
-    outside: tuple[str, ...]
     fastest: Fastest | None
     sought: bool
-    used: Mapping[str, float] = field(default_factory=dict)
+    used: Mapping[str, float]
 
     @property
     def least(self) -> float:
@@ -242,23 +235,29 @@ class PlanReport(OfPlan):
         return self.holds
 
     @cached_property
-    def driven(self) -> tuple[Trajectory, Array, str]:
-        """
-        The written motion: the plan, or the plan in its shortest safe time if requested.
+    def outside(self) -> tuple[str, ...]:
+        """Phrases on exceeded validity ranges of the cup."""
+        values = self.source.values
+        return self.prediction.outside(
+            conversion.parameter_envelope(values), values.package.mass, values.vacuum.holding)
 
-        The motion consists of the tool, the package's states (N, 13), and the limit of a joint
-        that requires more time, or ''.
-        """
-        source = self.source
+    @cached_property
+    def _fast(self) -> tuple[Trajectory, str]:
+        """The plan in its shortest safe time, and the joint that needs a longer one, or ''."""
+        source, joints = self.source, self.source.joints
+        tool = timed(source.tool, self.fastest.scale if self.fastest else 1.0)
+        if self.fastest is None or joints is None:
+            return tool, ''
+        factor, limit = joint_excess(joints.arm, joints.along(tool, source.tool), math.inf)
+        return timed(tool, factor * 1.001 if limit else 1.0), limit  # of points 1 ms apart
+
+    @cached_property
+    def driven(self) -> tuple[Trajectory, Array]:
+        """The tool and states (N, 13) of the package, in the shortest safe time if requested."""
         if self.fastest is None:
-            return source.tool, self.prediction.states, ''
-        tool, limit = timed(source.tool, self.fastest.scale), ''
-        if source.joints is not None:
-            factor, limit = joint_excess(
-                source.joints.arm, source.joints.along(tool, source.tool), math.inf)
-            # peaks are evaluated at points 1 ms apart
-            tool = timed(tool, factor * 1.001 if limit else 1.0)
-        return tool, PlanSimulation(source.model, None, tool, tail=0.0).states(), limit
+            return self.source.tool, self.prediction.states
+        tool, _ = self._fast
+        return tool, PlanSimulation(self.source.model, None, tool, tail=0.0).states()
 
     @cached_property
     def moves(self) -> tuple[Move, ...]:
@@ -305,27 +304,28 @@ class PlanReport(OfPlan):
             factors = 1.0 / np.maximum(predicted.loads, 1.0 / MAX_DRAWN_FACTOR)
             return np.hstack([predicted.states[:, :3], angle[:, None], factors, predicted.wrench])
 
-        return tool.seconds, tool.position, compute(source.model), _deviations(
-            source.values, source.model, compute)
+        return tool.seconds, tool.position, compute(source.model), source.deviations(compute)
 
-    @property
-    def bodies(self) -> tuple[Trajectory, Trajectory]:
-        """Tool and package, including the time after a plan that ends at rest."""
-        tool = extended(self.source.tool, TAIL_SHOWN if self.prediction.ends_at_rest else 0.0)
-        states = PlanSimulation(self.source.model, None, tool, tail=0.0).states()
-        return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
+    def scenes(self) -> dict[str, tuple[Trajectory, Trajectory]]:
+        """Return tool and package by title, including the time after a plan that ends at rest."""
+        source = self.source
+        return {source.path: source.bodies(
+            source.tool, TAIL_SHOWN if self.prediction.ends_at_rest else 0.0)}
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the motion."""
-        source, prediction = self.source, self.prediction
+        source, prediction, (fast, limit) = self.source, self.prediction, self._fast
         safety = Finding('no_factor') if prediction.grip is None else safety_finding(
             *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], self.least)
+        sides = [side for side, is_still in (
+            ('begins', source.begins_at_rest), ('ends', prediction.ends_at_rest)) if not is_still]
         return (*source.findings, *filter(None, (
             safety, flip_finding(prediction.bending),
-            None if source.begins_at_rest and prediction.ends_at_rest else Finding('in_motion', (
-                Level.WARN), {'side': ' and '.join(['begins'] * (not source.begins_at_rest) + [
-                    'ends'] * (not prediction.ends_at_rest))}),
+            Finding('in_motion', Level.WARN, {'side': ' and '.join(sides)}) if sides else None,
+            Finding('slowed', Level.OK, {
+                'scale': float(fast.seconds[-1]) / source.duration, 'limit': limit})
+            if limit else None,
             outside_finding(self.outside))))
 
     def numbers(self) -> dict[str, Any]:
@@ -335,7 +335,7 @@ class PlanReport(OfPlan):
             'duration': self.source.duration, **prediction.summary(),
             'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
             'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
-            'outside_validity': list(self.outside),
+            'outside_validity': self.outside,
             **({'fastest_scale': fastest and fastest.scale,
                 'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
             'used_parts': self.used, 'moves': self.moves,
@@ -371,9 +371,9 @@ def plan(
         If the plan cannot be read, is impossible for an arm, or the package cannot be held.
 
     """
-    bounds, source = limits_in(limits), plan_with_cup(path, settings, urdf, topic)
-    values, model, grip = source.values, source.model, source.grip
-    run = PlanSimulation(model, grip, source.tool)
+    source = plan_with_cup(path, settings, urdf, topic)
+    bounds = limits_in(limits, source)
+    run = PlanSimulation(source.model, source.grip, source.tool)
     prediction = run.predict()
 
     def figures(changed: ModelTuple) -> Array:
@@ -381,48 +381,43 @@ def plan(
         numbers['settled_after'] = min(numbers['settled_after'], MAX_TAIL)  # discontinuous there
         return np.nan_to_num([*numbers.values()], nan=np.nan, posinf=0.0)  # a pressed cup
 
-    deviations = _deviations(values, model, figures).tolist()
     std = {name: deviation if math.isfinite(value) else math.nan for (name, value), deviation in
-           zip(prediction.summary().items(), deviations, strict=True)}
-    shortest = None
-    if seek_fastest:
-        if grip is None:
-            raise BellowsError(f'The shortest safe time cannot be found. {NO_FACTOR}')
-        if not (source.begins_at_rest and prediction.ends_at_rest):
-            raise BellowsError(
-                'The shortest safe time cannot be found, because the plan begins or ends in '
-                'motion. Give a plan from rest to rest.')
-        shortest = fastest(
-            conversion.uncertain_of(values), model, grip, source.tool, float(values.safety.least))
-    outside = prediction.outside(
-        conversion.parameter_envelope(values), values.package.mass, values.vacuum.holding)
-    used = _used_parts(source, bounds, prediction.smallest_safety[0]) if limits else {}
-    return PlanReport(source, prediction, std, outside, shortest, seek_fastest, used)
+           zip(prediction.summary().items(), source.deviations(figures).tolist(), strict=True)}
+    shortest = _fastest(source, prediction) if seek_fastest else None
+    used = dict(_used_parts(
+        source, bounds, source.tool, prediction.smallest_safety[0])) if limits else {}
+    return PlanReport(source, prediction, std, shortest, seek_fastest, used)
 
 
-def limits_in(limits: File | Mapping[str, object]) -> Limits:
+def _fastest(source: Source, prediction: PlanPrediction) -> Fastest | None:
+    """Return the shortest safe time of a plan, None if there is none."""
+    why = NO_FACTOR if source.grip is None else '' if (
+        source.begins_at_rest and prediction.ends_at_rest) else (
+        'The plan begins or ends in motion. Give a plan from rest to rest.')
+    if source.grip is None or why:
+        raise BellowsError(f'The shortest safe time cannot be found. {why}')
+    return fastest(conversion.uncertain_of(source.values), source.model, source.grip, source.tool,
+                   float(source.values.safety.least))
+
+
+def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
     """Return the limits in a YAML file, or in its content; '' for none."""
-    return read_limits(
+    bounds = read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
-
-
-def _used_parts(source: Source, limits: Limits, factor: float) -> dict[str, float]:
-    """Return the used part of each limit by a plan with a smallest safety factor."""
-    if source.grip is None and limits.safety_factor > 0.0:
+    if source.grip is None and bounds.safety_factor > 0.0:
         raise BellowsError(
             f'The limit safety_factor cannot be compared. {NO_FACTOR} Or leave safety_factor out.')
-    joints = {} if source.joints is None else joint_parts(
-        source.joints.arm, source.joints.along(source.tool, source.tool),
-        limits.joint_acceleration)
-    return {**used_parts(limits, source.tool, factor), **joints}
+    return bounds
 
 
-def _deviations(
-    values: Values, model: ModelTuple, compute: Callable[[ModelTuple], Array]
-) -> Array:
-    """Return the standard deviations of a function of the model; 0 for exact parameters."""
-    _, parts = contributions(conversion.uncertain_of(values), model, compute)
-    return np.asarray(np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(model))
+def _used_parts(
+    source: Source, limits: Limits, tool: Trajectory, factor: float
+) -> Iterator[tuple[str, float]]:
+    """Yield the used part of each limit by a motion with a smallest safety factor."""
+    yield from used_parts(limits, tool, factor).items()
+    if joints := source.joints:
+        yield from joint_parts(
+            joints.arm, joints.along(tool, source.tool), limits.joint_acceleration).items()
 
 
 def outside_finding(ranges: Sequence[str]) -> Finding | None:
@@ -462,10 +457,6 @@ def extended(tool: Trajectory, seconds: float) -> Trajectory:
 # ------------------------------------------------------------------------------------- steering
 
 
-TAIL = 2.0
-"""Duration of the predicted swing after the end of the motion, s."""
-
-
 class SteeredMotion(NamedTuple):
     """A motion of the tool, and its effect on the package."""
 
@@ -473,17 +464,8 @@ class SteeredMotion(NamedTuple):
     prediction: PlanPrediction
     added_time: float
     """Additional time beyond the plan, s."""
-    along: Trajectory
-    """Motion of the tool until `TAIL` after the end, N points."""
-    states: Array
-    """States of B in the world (N, 13): position, quaternion, body twist."""
     expected_swing: float
     """RMS of the residual swing over the uncertainty of cup and package, rad."""
-
-    @property
-    def tilt(self) -> Array:
-        """Bending of the cup (N,), rad."""
-        return bending(self.along.rotation, quaternion_to_rotation(self.states[:, 3:7]))
 
     def summary(self) -> dict[str, float]:
         """Return the numbers of a summary, SI units."""
@@ -515,8 +497,6 @@ class SteerReport(OfPlan):
         Factor by which the motion was slowed down for the limits.
     limit : str
         Limit that required the slowdown.
-    uncertain : bool
-        Whether any parameter has a standard deviation.
 
     """
 
@@ -526,16 +506,13 @@ class SteerReport(OfPlan):
     steered: steering.Steered
     time_scale: float
     limit: str
-    uncertain: bool
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the motion."""
         steered = self.steered
-        modes = f'{len(steered.modes)} mode{"s" * (len(steered.modes) != 1)}'
-        allowed = max(steering.ALLOWED_TIME, self.source.duration)
-        how = f'after {steered.method} of {modes}' if steered.method in steering.METHODS else (
-            f'in the unchanged motion, as no shaper leaves less within {allowed:.2g} s')
+        how = f'after {steered.method}' if steered.modes else (
+            'in the unchanged motion, as no shaper leaves less')
         slowed = Finding('slowed', Level.OK, {'scale': self.time_scale, 'limit': self.limit})
         return (*self.source.findings, *[slowed] * (self.time_scale > 1.0), Finding(
             'shaped', Level.OK, {'residual': steered.residual, 'how': how}))
@@ -545,6 +522,11 @@ class SteerReport(OfPlan):
         """The written motion of the tool, and the states (N, 13) of the package."""
         motion = self.motions[self.method]
         return motion.tool, motion.prediction.states
+
+    def scenes(self) -> dict[str, tuple[Trajectory, Trajectory]]:
+        """Return tool and package by the name of the motion, until some time after its end."""
+        return {name: self.source.bodies(motion.tool, TAIL_SHOWN)
+                for name, motion in self.motions.items()}
 
     def numbers(self) -> dict[str, Any]:
         """Return the numbers of the result by name."""
@@ -582,56 +564,37 @@ def steer_plan(
     """
     if method not in steering.METHODS:
         raise BellowsError(f"method is '{method}'; expected one of {', '.join(steering.METHODS)}.")
-    bounds = limits_in(limits)
     source = plan_with_cup(path, settings, urdf, topic)
-    bound = bool(limits) or source.joints is not None
-    scale, limit = _slowdown(source, method, bounds) if bound else (1.0, '')
-    steered = steering.steer(source.model, timed(source.tool, scale), method)
+    bounds = limits_in(limits, source)
+
+    def steered_at(scale: float) -> steering.Steered:
+        return steering.steer(source.model, timed(source.tool, scale), method)
+
+    def limit_at(scale: float) -> str:
+        tool, factor = steered_at(scale).tool, math.inf
+        if bounds.safety_factor > 0.0:
+            factor = PlanSimulation(
+                source.model, source.grip, tool, tail=steering.TAIL).safety(1.0)
+        return next((name for name, part in _used_parts(source, bounds, tool, factor)
+                     if part > 1.0), '')
+
+    is_bound = bool(limits) or source.joints is not None
+    scale, limit = first_allowed(limit_at) if is_bound else (1.0, '')
+    steered = steered_at(scale)
     motions = {method: _effect(source, steered.tool)}
     with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
         motions['as planned'] = _effect(source, source.tool)
-    return SteerReport(
-        source, method, motions, steered, scale, limit,
-        bool(conversion.parameter_std(source.values).any()))
-
-
-def _slowdown(source: Source, method: str, limits: Limits) -> tuple[float, str]:
-    """Return the factor of the duration within the limits, and the limit that requires it."""
-    grip = source.grip
-    if grip is None and limits.safety_factor > 0.0:
-        raise BellowsError(
-            f'The limit safety_factor cannot be met. {NO_FACTOR} Or leave safety_factor out.')
-    low, high = source.tool.position.min(axis=0), source.tool.position.max(axis=0)
-    for axis, least, most, lower, upper in zip(
-            'xyz', low, high, limits.low, limits.high, strict=True):
-        if least < lower or most > upper:
-            raise BellowsError(
-                f'The plan leaves the limit workspace at any speed: {axis} from {least:.4g} to '
-                f'{most:.4g} m; expected {lower:g} to {upper:g}. Plan another motion, or correct '
-                'workspace.')
-
-    def limit_at(scale: float) -> str:
-        tool = steering.steer(source.model, timed(source.tool, scale), method).tool
-        factor = math.inf
-        if grip is not None and limits.safety_factor > 0.0:
-            factor = PlanSimulation(source.model, grip, tool, tail=TAIL).safety(1.0)
-        joints, limit = source.joints, exceeded(limits, tool, factor)
-        return limit or ('' if joints is None else joint_excess(
-            joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)[1])
-
-    return first_allowed(limit_at)
+    return SteerReport(source, method, motions, steered, scale, limit)
 
 
 def _effect(source: Source, tool: Trajectory) -> SteeredMotion:
     """Return the effect of a motion of the tool on the package."""
-    model = source.model
-    run, longer = PlanSimulation(model, source.grip, tool), extended(tool, TAIL)
+    run = PlanSimulation(source.model, source.grip, tool)
     square = mean_square(
-        conversion.uncertain_of(source.values), model,
+        conversion.uncertain_of(source.values), source.model,
         lambda changed: float(run.with_model(changed).predict().summary()['swing_left']))
     return SteeredMotion(
-        tool, run.predict(), float(tool.seconds[-1]) - source.duration, longer,
-        PlanSimulation(model, None, longer, tail=0.0).states(), math.sqrt(square))
+        tool, run.predict(), float(tool.seconds[-1]) - source.duration, math.sqrt(square))
 
 
 # -------------------------------------------------------------------------------------- reading
@@ -663,49 +626,50 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     """
     source = _read_plan(Path(path), values, urdf, topic)
     plan_messages.require_frame(source.frame_id, values)
-    measured = source.tool if source.recorded is None else source.recorded
-    chosen, measured_chosen = recordings.interval_masks(
-        [source.tool.stamps_ns, measured.stamps_ns], values)
+    stamps = source.tool.stamps_ns
+    chosen, _ = recordings.interval_masks(
+        [stamps, stamps if source.recorded_ns is None else source.recorded_ns], values)
     if (points := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
             'more. Select a longer part.')
-    tool, measured = source.tool.select(chosen), measured.select(measured_chosen)
-    if source.recorded is not None and stands_at_first(measured):
-        tool = from_rest(tool)
-    elif source.recorded is not None and not simulation.stands(np.asarray(tool.twist)[0]):
-        tool = with_fitted_start(tool, measured)
+    tool = source.tool.select(chosen)
+    if source.recorded_ns is not None:
+        tool = _from_rest(tool)
     return replace(source, tool=tool, path=os.fspath(path), values=values)
 
 
+def _from_rest(tool: Trajectory) -> Trajectory:
+    """Return a recorded motion with a zero first twist, if the tool stands there."""
+    twist = np.array(tool.twist)
+    if (np.linalg.norm(twist[0].reshape(2, 3), axis=1) <= STILL).all():
+        twist[0] = 0.0
+    return replace(tool, twist=twist)
+
+
 def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
-    """Return the whole plan in a file."""
-    if topic and file.suffix.lower() in (*YAML, *TEXT):
+    """Return the whole plan in a file, the first of several with a note."""
+    kind = file.suffix.lower()
+    if topic and kind in (*YAML, *TEXT):
         raise BellowsError(
             f"The topic is '{topic}', but '{file}' is no recording and has none. Leave it out.")
-    if file.suffix.lower() in YAML:
+    if kind in TEXT:
+        tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
+        return Source(at_tip(tool, conversion.tip_of(values)), '')
+    if kind in YAML:
         content = plans.read_yaml(file)
         if 'kind' in content:
             return _source_of_motion(content, values)
-        of_file = plans.plans_in_yaml(content, os.fspath(file))
-        return _source_of_first([('', each) for each in of_file], values, urdf, file, '')
-    if file.suffix.lower() in TEXT:
-        tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
-        return Source(at_tip(tool, conversion.tip_of(values)), '')
-    read = plans.plans_in(file, topic)
-    if read:
-        return _source_of_first(read, values, urdf, file, file)
-    return _source_of_recording(file, values, urdf, topic)
-
-
-def _source_of_first(
-    read: list[tuple[str, plan_messages.PlanMessage | plan_messages.JointPlan]],
-    values: Values, urdf: str, file: Path, recording: Any,
-) -> Source:
-    """Return the first of some plans, each with its topic, with a note if there are several."""
+        read = [('', each) for each in plans.plans_in_yaml(content, os.fspath(file))]
+    else:
+        read = plans.plans_in(file, topic)
+        if not read:
+            return _source_of_recording(file, values, urdf, topic)
+    (name, first), *more = read
     notes = [Finding('first_of_plans', Level.WARN, {
-        'count': len(read), 'name': read[0][0]}, os.fspath(file))] if len(read) > 1 else []
-    return replace(_source_of_plan(read[0][1], values, urdf, recording), notes=tuple(notes))
+        'count': len(read), 'name': name}, os.fspath(file))] if more else []
+    recording = '' if kind in YAML else file
+    return replace(_source_of_plan(first, values, urdf, recording), notes=tuple(notes))
 
 
 def _source_of_plan(
@@ -768,60 +732,7 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
         motion, rates, axes = _with_rates(
             motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
     tool = at_tip(_checked_motion(motion, rates, axes, name, given), conversion.tip_of(values))
-    return Source(tool, poses.frame_id,
-                  recorded=at_tip(poses.trajectory(), conversion.tip_of(values)))
-
-
-def with_fitted_start(tool: Trajectory, measured: Trajectory) -> Trajectory:
-    """
-    Return a motion with its first two poses and twists from a quintic through measured poses.
-
-    The quintic is fitted to position and rotation vector over the first `START_WINDOW`. A motion
-    with fewer than `MIN_START_POSES` poses is unchanged.
-    """
-    window = measured.select(measured.seconds <= START_WINDOW)
-    if len(window) < MIN_START_POSES:
-        return tool
-    seconds, at = ((stamps - tool.stamps_ns[0]) / NS_PER_S
-                   for stamps in (window.stamps_ns, tool.stamps_ns[:2]))
-    powers, poses = np.vander(seconds, 6, True), np.hstack([
-        window.position, lie.log_so3(window.rotation[0].T @ window.rotation)])
-    fit = np.linalg.lstsq(powers, poses, rcond=None)[0]
-    value, rate = np.vander(at, 6, True), np.vander(at, 5, True) * np.arange(1.0, 6.0)
-    position, rotation, twist = (np.array(part) for part in (
-        tool.position, tool.rotation, tool.twist))
-    position[:2], phi = np.split(value @ fit, 2, axis=1)
-    rotation[:2], (v, w) = window.rotation[0] @ lie.exp_so3(phi), np.split(
-        rate @ fit[1:], 2, axis=1)
-    twist[:2] = np.hstack([lie.apply(np.swapaxes(rotation[:2], -1, -2), v),
-                           w - 0.5 * np.cross(phi, w)])  # body rate, to first order
-    return replace(tool, position=position, rotation=rotation, twist=twist)
-
-
-def stands_at_first(measured: Trajectory) -> bool:
-    """
-    Return whether a recorded tool is at rest in the first `START_WINDOW`.
-
-    The mean twist in this time, fitted to the poses, must be below `START_DEVIATIONS` standard
-    errors.
-    """
-    window = measured.select(measured.seconds <= START_WINDOW)
-    if len(window) < MIN_START_POSES:
-        return False
-    rotation = lie.log_so3(window.rotation[0].T @ window.rotation)
-    poses, t = np.hstack([window.position, rotation]), window.seconds - window.seconds.mean()
-    rate = t @ poses / (t @ t)
-    error = poses - poses.mean(axis=0) - np.outer(t, rate)
-    std = np.sqrt(np.sum(error**2, axis=0) / ((len(t) - 2) * (t @ t)))
-    allowed = np.repeat(simulation.MAX_REST_RATES, 3) + START_DEVIATIONS * std
-    return bool((np.abs(rate) <= allowed).all())
-
-
-def from_rest(tool: Trajectory) -> Trajectory:
-    """Return a motion with zero initial twist: the package is at rest at its start."""
-    twist = np.array(tool.twist)
-    twist[0] = 0.0
-    return replace(tool, twist=twist)
+    return Source(tool, poses.frame_id, recorded_ns=poses.stamps_ns)
 
 
 def _with_rates(

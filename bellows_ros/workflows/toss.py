@@ -79,14 +79,13 @@ class TossResult(plan.OfPlan):
         """Kind of release: 'peel', or 'delay' if the grip is unknown."""
         return 'delay' if self.case.held.grip == NO_GRIP else 'peel'
 
-    @property
-    def bodies(self) -> tuple[Trajectory, Trajectory]:
-        """Tool and package, held, released and flying to its landing."""
+    def scenes(self) -> dict[str, tuple[Trajectory, Trajectory]]:
+        """Return tool and package by title, held, released and flying to its landing."""
         stamps_ns = sample_stamps(RATE, self.toss.landing_time, int(self.source.tool.stamps_ns[0]))
         tool, package = (simulation.ToolRows(stamps_ns, rows).trajectory() for rows in (
             self.case.held.along(self.case.release, self.case.switched,
                                  (stamps_ns - stamps_ns[0]) / NS_PER_S)))
-        return tool, package
+        return {self.source.path: (tool, package)}
 
     def shares(self) -> list[Share]:
         """Return the contribution of each uncertain parameter, the largest first."""
@@ -183,7 +182,7 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
         If the output exists, or cannot be written.
 
     """
-    tool, package = result.bodies
+    ((tool, package),) = result.scenes().values()
     plan.write_prediction(
         path, result.source, tool, simulation.tool_rows(package), replace_bag)
 

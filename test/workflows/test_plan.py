@@ -4,12 +4,10 @@ from dataclasses import replace
 import json
 import math
 
-from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import read_arm
-from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import as_messages, Encoded, write_bag
 from bellows_ros.files.parameter_files import read_parameters
@@ -22,13 +20,7 @@ from bellows_ros.files.plan_messages import (
     PlanMessage,
 )
 from bellows_ros.files.plans import DESCRIPTION, STATES
-from bellows_ros.workflows.plan import (
-    plan,
-    plan_with_cup,
-    read_plan,
-    stands_at_first,
-    with_fitted_start,
-)
+from bellows_ros.workflows.plan import plan, plan_with_cup, read_plan
 from bellows_ros.workflows.replay import replay
 import numpy as np
 from numpy.testing import assert_allclose
@@ -317,40 +309,13 @@ def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path):
         figures(bag)
 
 
-def test_a_recording_that_begins_at_rest_is_predicted_from_rest():
+@pytest.mark.parametrize(('topic', 'begin', 'rests'), [
+    ('', 0.0, True), ('/tool_arm/twist', 0.0, True), ('', 5.0, False)])
+def test_a_recording_that_begins_at_rest_is_predicted_from_rest(topic, begin, rests):
     """Although its noise makes twists; one that begins in motion is not."""
-    values = read_parameters(ROOT / 'bags' / 'tossing.yaml')
-    source = plan_with_cup(ROOT / 'bags' / 'static', values)
-    assert source.begins_at_rest
-    with_twists = {**values, 'topics.tool_twist': '/tool_arm/twist'}
-    assert plan_with_cup(ROOT / 'bags' / 'static', with_twists).begins_at_rest
-    t = np.arange(200) / 500.0
-    rng = np.random.default_rng(2)
-    for speed, stands in ((0.0, True), (0.02, False)):
-        position = np.outer(speed * t, [1.0, 0.0, 0.0]) + 2e-5 * rng.standard_normal((200, 3))
-        R = lie.exp_so3(5e-5 * rng.standard_normal((200, 3)))
-        poses = Trajectory(np.round(t * 1e9).astype(np.int64), position, R)
-        assert stands_at_first(poses) is stands
-
-
-def test_the_start_in_motion_of_a_recording_is_fitted():
-    """The error of the first acceleration is small against gravity."""
-    rng, move = np.random.default_rng(4), Move([0.6, 0.0, 0.1], [0.2, 0.0, 0.5], 0.6)
-    t = np.arange(250) * 2e-3
-    for begin in (0.1, 0.15, 0.2):
-        o, R, v = move.at(begin + t)
-        R = R @ lie.exp_so3(5e-5 * rng.standard_normal((len(t), 3)))
-        noisy = Trajectory(np.round(t * 1e9).astype(np.int64),
-                           o + 2e-5 * rng.standard_normal(o.shape), R,
-                           v + 2e-3 * rng.standard_normal(v.shape))
-        fitted = with_fitted_start(noisy, noisy)
-        h, exact = 1e-4, move.at(np.array([begin]))[2]
-        rates = np.diff(fitted.twist[:2], axis=0)[0] / 2e-3
-        truth = (np.array(move.at(np.array([begin + 1e-3 + h]))[2])
-                 - move.at(np.array([begin + 1e-3 - h]))[2])[0] / (2.0 * h)
-        assert_allclose(rates[:3], truth[:3], atol=0.5)
-        assert_allclose(rates[3:], truth[3:], atol=2.0)
-        assert_allclose(np.asarray(fitted.twist)[0], exact[0], atol=0.02)
+    values = {**read_parameters(ROOT / 'bags' / 'tossing.yaml'), 'topics.tool_twist': topic,
+              'recording.start': begin}
+    assert plan_with_cup(ROOT / 'bags' / 'validation', values).begins_at_rest is rests
 
 
 def test_the_margin_of_a_standstill_is_that_of_the_weight():

@@ -117,12 +117,6 @@ def used_parts(limits: Limits, tool: Trajectory, safety_factor: float) -> dict[s
     return parts
 
 
-def exceeded(limits: Limits, tool: Trajectory, safety_factor: float) -> str:
-    """Return the name of the first limit that a motion exceeds, '' if none."""
-    parts = used_parts(limits, tool, safety_factor)
-    return next((name for name, part in parts.items() if part > 1.0), '')
-
-
 def first_allowed(
     limit_at: Callable[[float], str],
     scales: tuple[float, float, float] = (1.0, MAX_STRETCH, STRETCH_STEP),

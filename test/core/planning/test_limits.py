@@ -7,11 +7,11 @@ from bellows_ros.core.model import cup_package
 from bellows_ros.core.parameters.conversion import parameter_std, parameter_vector, uncertain_of
 from bellows_ros.core.planning.limits import (
     demands,
-    exceeded,
     fastest,
     first_allowed,
     NO_LIMITS,
     RATES,
+    used_parts,
 )
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, timed
@@ -53,14 +53,17 @@ def test_a_step_of_one_millisecond_counts():
 
 
 def test_each_limit_counts():
-    assert exceeded(NO_LIMITS, PLAN, 0.0) == ''
+    def exceeded(limits, factor=0.0):
+        return [name for name, part in used_parts(limits, PLAN, factor).items() if part > 1.0]
+
+    assert exceeded(NO_LIMITS) == []
     for name, size in demands(PLAN).items():
-        for factor, expected in ((0.99, name), (1.01, '')):
+        for factor, expected in ((0.99, [name]), (1.01, [])):
             limits = NO_LIMITS._replace(rates={**NO_LIMITS.rates, name: factor * size})
-            assert exceeded(limits, PLAN, 0.0) == expected
-    assert exceeded(NO_LIMITS._replace(safety_factor=2.0), PLAN, 1.9) == 'safety_factor'
+            assert exceeded(limits) == expected
+    assert exceeded(NO_LIMITS._replace(safety_factor=2.0), 1.9) == ['safety_factor']
     box = NO_LIMITS._replace(low=np.full(3, -0.1), high=np.array([0.5, 0.1, 0.1]))
-    assert exceeded(box, PLAN, 0.0) == 'workspace'
+    assert exceeded(box) == ['workspace']
 
 
 def test_the_first_allowed_time_is_found_though_slower_ones_are_not_allowed():
