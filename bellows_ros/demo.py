@@ -17,7 +17,7 @@ from typing import Any
 
 from bellows_ros import plots
 from bellows_ros.core import configure_process
-from bellows_ros.core.geometry.jit import IS_NEW
+from bellows_ros.core.geometry.jit import is_new
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.values import Values
@@ -86,7 +86,7 @@ def run(folder: Path, out: Path) -> int:
     except OSError as error:
         raise BellowsError(f"Output folder '{out}' cannot be created: {error.strerror}. Give "
                            'another with --out.') from None
-    if IS_NEW:
+    if is_new():
         print('Compiling (once a version): about a minute.', flush=True)
     print(f'1. Identify the cup from {fitted}', flush=True)
     given = parameter_files.read_parameters(package)

@@ -27,7 +27,7 @@ from .inputs import Attachment, PackageInput, SensorInput, TransformInput
 from .outputs import Outputs, Predicting
 from .planning import Planning
 from ..core.geometry.arrays import Array
-from ..core.geometry.jit import compile_aside, IS_NEW
+from ..core.geometry.jit import compile_aside, is_new
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import landing, LivePredictor, Prediction, warm_up
 from ..core.live.cycle import RELEASED
@@ -77,10 +77,10 @@ class Pipeline(Predicting):
         self._ticked_ns = 0
         self._was_late = self._is_compiling = self._needs_filter = False
         self._arrival_at_last_tick: int | None = None
-        if IS_NEW:
+        if is_first := is_new():
             node.get_logger().info('Compiling (once a version): about a minute.')
         self._compile_predictor(values)
-        self.compiler = compile_aside(compile_topics, values) if IS_NEW else None
+        self.compiler = compile_aside(compile_topics, values) if is_first else None
         self._compiled: dict[int, Future[None] | None] = {
             len(cup_of(values).as_tuple): None}  # more numbers if it relaxes
         self.live = LivePredictor.from_parameters(node.values)

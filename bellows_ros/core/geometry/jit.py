@@ -96,8 +96,10 @@ def _use_folder() -> Path | None:
 FOLDER = _use_folder() if COMPILED else None
 """Folder of the machine code, or None."""
 
-IS_NEW: bool = COMPILED and not (FOLDER and any(FOLDER.iterdir()))
-"""Whether nothing was compiled before."""
+
+def is_new() -> bool:
+    """Return whether nothing was compiled so far."""
+    return COMPILED and not (FOLDER and any(FOLDER.iterdir()))
 
 
 def kernel(function: Function) -> Function:
