@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 import difflib
 import math
-import re
 from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
@@ -66,12 +65,10 @@ def validate(name: str, value: object) -> Value:
 
     """
     parameter = table.lookup(name)
-    if isinstance(value, np.ndarray | array):
-        value = np.ravel(value).tolist()
     if name in POSE_PARAMETERS:
-        value = _world_text(parameter, value, name == POSE_PARAMETERS[0])
+        value = _pose(parameter, value, name == POSE_PARAMETERS[0])
     normal = convert(parameter, value)
-    check = _PHYSICAL.get(name) or _PHYSICAL.get(table.NAMED_CUP.sub(r'cup.\2', name))
+    check = _PHYSICAL.get(table.NAMED_CUP.sub(r'cup.\2', name))
     if check:
         check(parameter, normal)
     return normal
@@ -131,20 +128,21 @@ def convert(parameter: Parameter, value: object) -> Value:
         If the value is not of the parameter's kind or not in its range.
 
     """
-    if parameter.kind == 'bool':
-        if not isinstance(value, bool | np.bool_):
-            raise _refuse(parameter, shown(value))
-        return bool(value)
-    if parameter.kind == 'string':
-        return _text(parameter, value)
-    if parameter.kind in ('integer', 'double'):
-        return _number(parameter, value)
-    items = _items(parameter, value)
-    if parameter.kind == 'string_array':
-        return tuple(_text(parameter, x, f' at index {i}') for i, x in enumerate(items))
-    if parameter.length not in (None, table.ANY_LENGTH, len(items)):
+    is_list = parameter.kind.endswith('_array')
+    if isinstance(value, np.ndarray | array):
+        value = np.ravel(value).tolist()
+    if isinstance(value, str) and parameter.kind == 'double_array':
+        with suppress(ValueError):  # a list of 0 and 0.5 by `ros2 param set`
+            value = [float(part) for part in value.strip('[] ').split(',')]
+    if is_list and not isinstance(value, list | tuple):
+        raise _refuse(parameter, _got(value))
+    items: Any = value if is_list else [value]
+    if parameter.length not in (0, len(items)):
         raise _refuse(parameter, f'{len(items)} of them')
-    return tuple(float(_number(parameter, x, f' at index {i}')) for i, x in enumerate(items))
+    one = _item if parameter.kind in ('bool', 'string', 'string_array') else _number
+    normal: Any = tuple(one(parameter, item, f' at index {i}' * is_list)
+                        for i, item in enumerate(items))
+    return normal if is_list else normal[0]  # type: ignore[no-any-return]
 
 
 def _refuse(parameter: Parameter, got: str) -> BellowsError:
@@ -153,9 +151,14 @@ def _refuse(parameter: Parameter, got: str) -> BellowsError:
         .rstrip())
 
 
-def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
-    """Return seven numbers of a list or string as a string; other values unchanged."""
-    parts = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
+def _got(value: object) -> str:
+    return f"the text '{shown(value)}'" if isinstance(value, str) else (
+        f'{shown(value)} ({type(value).__name__})')
+
+
+def _pose(parameter: Parameter, value: object, estimated: bool) -> object:
+    """Return seven numbers of a list or string as a string; '' and `ESTIMATE` unchanged."""
+    parts: Any = value.replace(',', ' ').strip('[] ').split() if isinstance(value, str) else value
     if parts == [] or (estimated and parts == [ESTIMATE]):
         return ''.join(parts)
     try:
@@ -167,57 +170,41 @@ def _world_text(parameter: Parameter, value: object, estimated: bool) -> str:
             abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE):
         raise BellowsError(
             f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
-            f"length 1, {f'or {ESTIMATE}, ' if estimated else ''}or '', got {shown(value)}. "
+            f"length 1, {f'or {ESTIMATE}, ' * estimated}or '', got {shown(value)}. "
             f'{parameter.description}')
-    pose[3:] /= length
-    return pose_text(pose)
+    return pose_text(np.append(pose[:3], pose[3:] / length))
 
 
-def _items(parameter: Parameter, value: object) -> list[object]:
-    """Return the items of a list, a tuple or a one-dimensional array."""
-    if isinstance(value, np.ndarray) and value.ndim == 1:
-        return list(value.tolist())
-    if isinstance(value, list | tuple | array):
-        return list(value)
-    if isinstance(value, str):
-        with suppress(ValueError):  # a list of 0 and 0.5 by `ros2 param set`
-            if parameter.kind == 'double_array' and re.fullmatch(r'\s*\[.*\]\s*', value):
-                return [float(part) for part in value.strip('[] ').split(',')]
-        raise _refuse(parameter, f"the text '{shown(value)}'")
-    raise _refuse(parameter, shown(value))
-
-
-def _text(parameter: Parameter, value: object, where: str = '') -> str:
-    """Return a string, one of the choices if any, without control characters."""
-    if not isinstance(value, str):
-        raise _refuse(parameter, f'{shown(value)} ({type(value).__name__}){where}')
+def _item(parameter: Parameter, value: object, where: str) -> bool | str:
+    """Return a truth value, or a string: one of the choices if any, without control characters."""
+    if parameter.kind == 'bool' and isinstance(value, bool | np.bool_):
+        return bool(value)
+    if parameter.kind == 'bool' or not isinstance(value, str):
+        raise _refuse(parameter, _got(value) + where)
     if any(ord(c) < 32 or ord(c) == 127 for c in value):  # invalid in files, topics and frames
         raise _refuse(parameter, f"a control character in '{shown(value)}'{where}")
-    if not value and (where or parameter.required_text):
-        raise _refuse(parameter, f'an empty text{where}')
-    if parameter.choices and value not in parameter.choices:
+    is_needed = where or parameter.required_text
+    if (is_needed and not value) or (parameter.choices and value not in parameter.choices):
         raise _refuse(parameter, f"'{shown(value)}'{where}")
     return value
 
 
-def _number(parameter: Parameter, value: object, where: str = '') -> int | float:
+def _number(parameter: Parameter, value: object, where: str) -> int | float:
     """Return a finite number in range, an integer if required; Boolean values are rejected."""
     is_integer = parameter.kind == 'integer'
     kinds = (int, np.integer) if is_integer else (int, float, np.integer, np.floating)
     if isinstance(value, bool) or not isinstance(value, kinds):
-        is_text = isinstance(value, str)
-        raise _refuse(parameter, (f"the text '{shown(value)}'{where}" if is_text else
-                                  f'{shown(value)} ({type(value).__name__}){where}'))
-    low = -math.inf if parameter.minimum is None else parameter.minimum
-    high = math.inf if parameter.maximum is None else parameter.maximum
-    above = -math.inf if parameter.above is None else parameter.above
+        raise _refuse(parameter, _got(value) + where)
+    low, high, above = (end if given is None else given for given, end in (
+        (parameter.minimum, -math.inf), (parameter.maximum, math.inf),
+        (parameter.above, -math.inf)))
     try:
         fits = math.isfinite(value) and low <= value <= high and value > above
     except OverflowError:  # an integer beyond doubles
         fits = False
     if not fits:
-        large = parameter.unit and (value > high or -value > high)
-        unit = f' (is it in {parameter.unit}?)' if large else ''
+        is_large = parameter.unit and (value > high or -value > high)
+        unit = f' (is it in {parameter.unit}?)' if is_large else ''
         raise _refuse(parameter, f'{shown(value)}{where}{unit}')
     return int(value) if is_integer else float(value)
 
@@ -293,17 +280,10 @@ def with_chosen_cup(values: Values) -> Values:
     if not name:
         return values
     prefix = f'cups.{name}.'
-    cups = cup_names(values)
-    if name in cups and f'{prefix}stiffness' not in values:
+    if f'{prefix}stiffness' not in values:
         raise BellowsError(
-            f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give the cup's "
-            'stiffness, damping and length there.')
-    if name not in cups:
-        similar = difflib.get_close_matches(name, cups, n=1, cutoff=0.5)
-        hint = f"Did you mean '{similar[0]}'?" if similar else (
-            f'Cups there: {", ".join(cups) or "none"}.')
-        raise BellowsError(
-            f"cup.name is '{name}', but there are no parameters cups.{name}.*. {hint}")
+            f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give it there with "
+            f'damping and length, or another name: {", ".join(cup_names(values)) or "none"}.')
     chosen = {
         f'cup.{key.removeprefix(prefix)}': value
         for key, value in values.items() if key.startswith(prefix)}
@@ -413,9 +393,9 @@ class Settings:
         self._blocks[name] = Settings(values, self.name(name), self._where)
         return self._blocks[name]
 
-    def done(self, ignored: Sequence[str] = ()) -> None:
+    def done(self) -> None:
         """
-        Raise for settings that have not been read, here and in blocks, except ignored ones.
+        Raise for settings that have not been read, here and in blocks.
 
         Raises
         ------
@@ -424,15 +404,13 @@ class Settings:
 
         """
         for name in self._values:
-            if name not in self._asked and name not in ignored:
+            if name not in self._asked:
                 similar = difflib.get_close_matches(name, self._asked, n=1, cutoff=0.6)
-                names = ', '.join(dict.fromkeys(self._asked))
-                hint = (f"Did you mean '{self.name(similar[0])}'?" if similar else
-                        f'Known here: {names}.')
+                hint = f"Did you mean '{self.name(similar[0])}'?" if similar else (
+                    f'Known here: {", ".join(dict.fromkeys(self._asked))}.')
                 raise self.error(name, f"Unknown setting '{self.name(name)[:200]}'. {hint}")
-        for name, block in self._blocks.items():
-            if name not in ignored:
-                block.done(ignored)
+        for block in self._blocks.values():
+            block.done()
 
     def refuse(self, name: str, expected: str, got: object) -> BellowsError:
         """Return the error for a setting that is not allowed."""

@@ -72,14 +72,14 @@ def package_of(values: Values) -> Package:
     """
     inertia = structure.inertia_matrix(values.package.inertia)
     usual = structure.INERTIA_STD * np.diag(inertia)
-    structure.check_inertia(inertia, stated_std(values, 'package.inertia_std', usual) if (
-        'package.inertia_std' in values) else usual)
+    structure.check_inertia(inertia, stated_std(
+        {'package.inertia_std': -1.0, **values}, 'package.inertia_std', usual))
     if flatness(inertia) < -structure.INERTIA_ROUNDING:
         inertia = nearest(inertia)
     return Package(values.package.mass, inertia, np.array(values.package.com))
 
 
-def stated_std(values: Values, name: str, usual: Array) -> Array:
+def stated_std(values: Mapping[str, Any], name: str, usual: Array) -> Array:
     """Return stated standard deviations (n,), with the usual ones (n,) for entries below 0."""
     std = np.atleast_1d(values[name])[:len(usual)]
     return np.where(std < 0.0, usual, std)
@@ -123,8 +123,7 @@ def parameter_std(values: Values) -> Array:
     root = [np.sqrt(np.diag(matrix(values[kind]))) for kind in ('cup.stiffness', 'cup.damping')]
     limit = np.concatenate([np.outer(each, each)[UPPER] for each in root])
     std = parameter_vector(Values({
-        name.removesuffix('_std'): each for name, each in values.items()
-        if name.endswith('_std')}))
+        name[:-4]: each for name, each in values.items() if name.endswith('_std')}))
     std[:21] = stiffness_std(values)[UPPER]
     return np.concatenate([np.minimum(std[:42], limit), np.maximum(std[42:], 0.0)])
 
@@ -141,15 +140,12 @@ def places_of(values: Values) -> Array:
     """
     positions = structure.positions_of(values.get('cup.layout', (0.0, 0.0, 0.0)))
     opened = set(values.get('cup.open', ())) - {-1.0}  # -1 stands for none
-    wrong = sorted(opened - set(range(len(positions))))
-    if wrong:
+    every = set(range(len(positions)))
+    if not opened <= every or opened == every:
         raise BellowsError(
-            f'cup.open has {wrong[0]:g}; expected integers from 0 to {len(positions) - 1}, '
-            'the places of cups in cup.layout.')
-    if len(opened) == len(positions):
-        raise BellowsError(
-            'cup.open has all cups of cup.layout, so that none holds. Leave out those that hold.')
-    indices = np.setdiff1d(np.arange(len(positions)), list(opened))
+            f'cup.open has {", ".join(f"{k:g}" for k in sorted(opened))}; expected integers from 0 '
+            f'to {len(positions) - 1}, the places of cups in cup.layout, without those that hold.')
+    indices = sorted(every - opened)
     return np.column_stack([positions[indices], indices])
 
 
@@ -175,9 +171,8 @@ def given_structure(values: Values) -> Structure:
     places = places_of(values)
     if structure.is_single(places):
         raise BellowsError(
-            'fit.structure: layout fits one cup of a gripper, but cup.layout is that of a single '
-            'cup. Give x, y and z of each cup in the tool, in m, one cup after the other: '
-            'cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0] for two.')
+            'fit.structure: layout fits one cup of a gripper, but cup.layout has a single cup. '
+            'Give x, y and z (m) of each, as cup.layout: [0.05, 0.0, 0.0, -0.05, 0.0, 0.0].')
     return replace(named, places=tuple(map(tuple, places.tolist())))
 
 
@@ -187,9 +182,8 @@ def fitted_structure(values: Values) -> Structure:
     if any(values.get('cup.layout', ())) and not given.places:
         raise BellowsError(
             'cup.layout describes a gripper of several cups, whose cup.stiffness is of one, but '
-            f'fit.structure: {given.name} is of a single cup. Set fit.structure: layout to '
-            'find the numbers of one cup from the gripper, or leave cup.layout out to fit the '
-            'gripper as one cup (fit.structure: full).')
+            f'fit.structure: {given.name} is of a single cup. Set fit.structure: layout, or leave '
+            'cup.layout out to fit the gripper as one cup (fit.structure: full).')
     return given
 
 
@@ -218,27 +212,23 @@ def grip_of(
     grip, places = (pressure * area, radius, float(values.cup.friction)), places_of(values)
     if structure.is_single(places):
         return grip
-    relative = [max(of_cups.get(int(index), pressure), 1.0) / pressure if pressure > 0.0 else 1.0
+    relative = [max(of_cups.get(int(index), pressure), 1.0) / max(pressure, 1.0)
                 for index in places[:, 3]]  # at least 1 Pa, for a finite ratio
     return *grip, np.column_stack([places, relative])
 
 
 def parameter_envelope(values: Values) -> Envelope | None:
     """Return the validity range in parameter values, or None if all are zero: unknown."""
-    ranges = {name: np.array(values.get(RANGE_PARAMETERS[name], ())) for name in RANGE_PARAMETERS}
-    if not any(ranges[name].any() for name in RANGE_PARAMETERS
-               if name not in ('mass', 'vacuum')):
+    ranges = {name: np.array(values.get(key, ())) for name, key in RANGE_PARAMETERS.items()}
+    if not any(ranges[name].any() for name in {*ranges} - {'mass', 'vacuum'}):
         return None
     return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
 
 
 def tip_of(values: Values) -> Array | None:
     """Return the pose (4, 4) of E in the frame of the tool's poses, None if both are equal."""
-    text = values.get('tool_pose.offset', '')
-    if not text:
-        return None
-    pose = np.array([float(part) for part in text.split()])
-    return lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3])
+    pose = np.array(values.get('tool_pose.offset', '').split(), float)
+    return lie.transform(lie.quaternion_to_rotation(pose[3:]), pose[:3]) if len(pose) else None
 
 
 def gravity_of(values: Mapping[str, Any]) -> Array:
@@ -285,8 +275,7 @@ def release_law_of(values: Values) -> Law:
     if law[3] > 0.0 and not law[2] > 0.0:
         raise BellowsError(
             f'release.closing is {law[2]:g} N, but release.opening {law[3]:g} m; expected a force '
-            'above 0 with which the suction closes a cup that opens. Take both from bellows '
-            'identify --release.')
+            'above 0 that closes the cup. Take both from bellows identify --release.')
     return law  # type: ignore[no-any-return]
 
 

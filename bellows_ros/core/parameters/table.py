@@ -24,9 +24,6 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 MIN_SIMILARITY = 0.75
 """Smallest similarity (difflib ratio, 0 to 1) of a misspelt name to the correct one."""
 
-ANY_LENGTH = 0
-"""Length of an array without a fixed length."""
-
 
 @dataclass(frozen=True)
 class Parameter:
@@ -44,16 +41,15 @@ class Parameter:
     used_by : tuple of str
         Names of the users: 'identifier', 'predictor'.
     kind : str
-        One of bool, integer, double, string, double_array or string_array, as in ROS; default: the
-        kind of the default value.
+        One of bool, integer, double, string, double_array or string_array, as in ROS.
     minimum, maximum : float, optional
         Allowed range, both ends included, of the number or of each number of an array.
     above : float, optional
         Exclusive lower bound of the number.
     choices : tuple of str
         Allowed strings, if not empty.
-    length : int, optional
-        Length of an array, `ANY_LENGTH` for any; default: the length of the default.
+    length : int
+        Length of an array, 0 for any.
     required_text : bool
         Whether the empty string is rejected.
     read_only : bool
@@ -74,37 +70,22 @@ class Parameter:
     maximum: float | None = None
     above: float | None = None
     choices: tuple[str, ...] = ()
-    length: int | None = None
+    length: int = 0
     required_text: bool = False
     read_only: bool = False
     example: str = ''
     description: str = ''
 
-    def __post_init__(self) -> None:
-        """Take kind and length of an array from the default."""
-        if self.kind == 'double_array' and self.default == ():
-            object.__setattr__(self, 'length', ANY_LENGTH)
-        elif isinstance(self.default, tuple) and self.default:
-            if self.length is None:
-                object.__setattr__(self, 'length', len(self.default))
-            object.__setattr__(self, 'kind', 'double_array')
-        elif self.default is not None:
-            object.__setattr__(self, 'kind', _KINDS[type(self.default)])
-
     @property
     def constraint(self) -> str:
         """Constraint in words: kind, count, range, choices and unit."""
-        unit = f' ({self.unit})' if self.unit else ''
+        is_list, unit = self.kind.endswith('_array'), f' ({self.unit})' if self.unit else ''
         if self.choices:
-            kind = 'a list of some of ' if self.kind == 'string_array' else 'one of '
-            return kind + ', '.join(self.choices)
-        kind = _KIND_MESSAGES[self.kind]
-        if self.length:
-            kind = kind.replace('numbers', f'{self.length} numbers')
+            return ('a list of some of ' if is_list else 'one of ') + ', '.join(self.choices)
         ends = (('above', self.above), ('at least', self.minimum), ('at most', self.maximum))
         limits = ' and '.join(f'{word} {end:g}' for word, end in ends if end is not None)
-        each = ' each' if self.kind == 'double_array' else ''
-        return kind + (f',{each} {limits}' if limits else '') + unit
+        kind = _KIND_MESSAGES[self.kind].format(f'{self.length} ' if self.length else '')
+        return kind + (f',{" each" * is_list} {limits}' if limits else '') + unit
 
     @property
     def default_text(self) -> str:
@@ -120,12 +101,9 @@ class Parameter:
         return f'default {str(default).lower() if isinstance(default, bool) else repr(default)}'
 
 
-_KINDS: Mapping[type, Kind] = {
-    bool: 'bool', int: 'integer', float: 'double', str: 'string', tuple: 'string_array'}
-
 _KIND_MESSAGES: Mapping[Kind, str] = {
-    'bool': 'true or false', 'integer': 'an integer', 'double': 'a number',
-    'string': 'a string', 'double_array': 'a list of numbers', 'string_array': 'a list of strings'}
+    'bool': 'true or false', 'integer': 'an integer', 'double': 'a number', 'string': 'a string',
+    'double_array': 'a list of {}numbers', 'string_array': 'a list of strings'}
 
 
 def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -151,14 +129,21 @@ others."""
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
-    """Return a parameter from its entry in the file."""
+    """Return a parameter from its entry in the file; the kind is that of the default, if any."""
     fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key, value in {**entry, **_COMPUTED.get(name, {})}.items()}
     if 'range' in fields:
         fields['minimum'], fields['maximum'] = fields.pop('range')
-    if 'length' in fields and isinstance(fields.get('default'), float):
-        fields['default'] = (fields['default'],) * fields['length']
+    default = fields.get('default')
+    if 'length' in fields and isinstance(default, float):
+        fields['default'] = default = (default,) * fields['length']
+    if isinstance(default, tuple):
+        kind = 'double_array' if default else 'string_array'
+        fields = {'kind': kind, 'length': len(default), **fields}
+    elif default is not None:
+        fields['kind'] = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}[
+            type(default)]
     return Parameter(name, **fields)
 
 
@@ -184,27 +169,20 @@ def lookup(name: str) -> Parameter:
         If there is none; the message names the nearest.
 
     """
+    named = NAMED_CUP.fullmatch(name)
     if name in PARAMETERS:
         return PARAMETERS[name]
-    named = NAMED_CUP.fullmatch(name)
     if named and named[2] != 'name' and f'cup.{named[2]}' in PARAMETERS:
         return replace(PARAMETERS[f'cup.{named[2]}'], name=name)
-    raise BellowsError(f"Unknown parameter '{shown(name)}'. {_hint(name, named)}")
-
-
-def _hint(name: str, named: re.Match[str] | None) -> str:
-    if named:
-        return _nearest(name, [f'cups.{named[1]}.{key[4:]}' for key in PARAMETERS
-                               if key.startswith('cup.') and key != 'cup.name'])
+    names = [*PARAMETERS]
     if name.startswith('cups.'):
-        return ("A cup's parameters are cups.NAME.stiffness and so on; NAME has letters, digits "
-                'and underscores.')
-    return _nearest(name, list(PARAMETERS))
+        names = [f'cups.{named[1] if named else "NAME"}.{key[4:]}'
+                 for key in PARAMETERS if key.startswith('cup.') and key != 'cup.name']
+    raise BellowsError(f"Unknown parameter '{shown(name)}'. {_nearest(name[:80], names)}")
 
 
 def _nearest(name: str, names: Sequence[str]) -> str:
     """Return a hint with the nearest name, the names of the group, or all groups."""
-    name = name[:80]
     group, _, leaf = name.rpartition('.')
     inside = [other for other in names if other.startswith(f'{name}.')]
     in_group = inside or [other for other in names if group and other.startswith(f'{group}.')]
@@ -213,7 +191,6 @@ def _nearest(name: str, names: Sequence[str]) -> str:
     similar += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
     if similar:
         return f"Did you mean '{similar[0]}'?"
-    if in_group:
-        return f'Known there are: {", ".join(in_group)}.'
-    groups = dict.fromkeys(f'{other.partition(".")[0]}.*' for other in names if '.' in other)
-    return f"Known are {', '.join(groups)}; 'bellows parameters' lists them all."
+    known = in_group or dict.fromkeys(
+        f'{other.partition(".")[0]}.*' for other in names if '.' in other)
+    return f"Known are {', '.join(known)}; 'bellows parameters' lists them all."
