@@ -13,8 +13,8 @@ from pathlib import Path
 import textwrap
 from typing import Any
 
-from bellows_ros.core.parameters.checks import cup_names, validate
-from bellows_ros.core.parameters.table import lookup, NAMED_CUP, Parameter, PARAMETERS, Value
+from bellows_ros.core.parameters.checks import validate
+from bellows_ros.core.parameters.table import lookup, Parameter, PARAMETERS, Value
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
@@ -110,8 +110,7 @@ def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str
     path : path
         YAML file.
     values : mapping
-        Values by dotted name, which are checked, and written in the order of the parameter table,
-        followed by the named cups.
+        Values by dotted name, which are checked, and written in the order of the parameter table.
     header : sequence of str
         Comment lines at the top.
 
@@ -187,20 +186,9 @@ def _flattened(
 
 
 def _body(values: Mapping[str, Value]) -> Iterator[str]:
-    """
-    Yield the lines of the values, nested by the parts of their names.
-
-    Values of the table come first, in its order, followed by the values of each named cup.
-    """
-    order = {name: k for k, name in enumerate(PARAMETERS)}
-    cups = cup_names(values)
-
-    def place(name: str) -> tuple[int, int]:
-        named = NAMED_CUP.fullmatch(name)
-        return (1 + cups.index(named[1]), order[f'cup.{named[2]}']) if named else (0, order[name])
-
+    """Yield the lines of the values in the table's order, nested by the parts of their names."""
     groups: list[str] = []
-    for name in sorted(values, key=place):
+    for name in sorted(values, key=[*PARAMETERS].index):
         if values[name] != ():  # ROS has no empty lists
             *path, leaf = name.split('.')
             for depth in range(len(commonprefix([groups, path])), len(path)):
@@ -225,7 +213,7 @@ def _rows(name: str, value: tuple[Any, ...], indent: str, unit: str) -> Iterator
     """Yield the lines of a long list, six items per line."""
     texts = [_scalar(x) for x in value]
     width = max(len(text) for text in texts)
-    of_rows = _ROW_UNITS.get(NAMED_CUP.sub(r'cup.\2', name))
+    of_rows = _ROW_UNITS.get(name)
     for row, start in enumerate(range(0, len(value), _ROW)):
         cells = ', '.join(text.rjust(width) for text in texts[start:start + _ROW])
         opening = '[' if start == 0 else ' '

@@ -12,7 +12,6 @@ import gc
 import time
 from typing import Any
 
-from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.conversion import gravity_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.files.messages import LAYOUTS
@@ -72,7 +71,7 @@ class Pipeline(Predicting):
     def __init__(self, node: ManagedNode) -> None:
         """Prepare the model, compile all kernels, and only then make the topics."""
         self.node = node
-        values = with_chosen_cup(node.values)
+        values = node.values
         self.compute, self._reported = health.window(), Counter[str]()
         self._ticked_ns = 0
         self._was_late = self._is_compiling = self._needs_filter = False
@@ -268,7 +267,7 @@ class Pipeline(Predicting):
 
     def use_values(self) -> None:
         """Use the node's parameters; the package keeps its motion."""
-        values = with_chosen_cup(self.node.values)
+        values = self.node.values
         kind = len(cup_of(values).as_tuple)
         if kind not in self._compiled:
             self.node.get_logger().info(

@@ -6,7 +6,6 @@ import gc
 import time
 from typing import Any
 
-from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.values import Values
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
@@ -206,11 +205,7 @@ class PredictorNode(ManagedNode):
     def _log_model(self, pipeline: Pipeline) -> None:
         """Log the cup and the package in use."""
         log, values = self.get_logger().info, pipeline.values
-        name = values.cup.name
-        if name:
-            log(f"Using the cup '{name}'.")
-        if thesis := [text for key, text in CUP_DEFAULTS.items()
-                      if not {key, key.replace('cup', f'cups.{name}')} & self.overridden]:
+        if thesis := [text for key, text in CUP_DEFAULTS.items() if key not in self.overridden]:
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
         log(f'Package of {values.package.mass:g} kg.')
@@ -236,16 +231,9 @@ class PredictorNode(ManagedNode):
         self.pipeline.live.reset()
 
     def check_values(self, values: Values) -> tuple[str, ...]:
-        """Raise for impossible cups and packages, and settings without effect; return doubts."""
-        name = values.cup.name
-        for key in CUP_DEFAULTS if name else ():
-            if values[key] != self.values[key]:
-                raise BellowsError(
-                    f"{key} has no effect while cup.name is '{name}'. Set "
-                    f"cups.{name}.{key.removeprefix('cup.')}, or set cup.name to ''.")
-        chosen = with_chosen_cup(values)
-        check_live(chosen)
-        return checks.implausible(chosen)
+        """Raise for impossible cups and packages; return doubts."""
+        check_live(values)
+        return checks.implausible(values)
 
     def on_values(self, before: Mapping[str, object]) -> None:
         """Use the new cup and package; the state of motion is kept."""
@@ -320,7 +308,7 @@ class Diagnostics:
         lines = [health.Status('prediction', health.prediction_finding(
             state, phase, restarts, live.tool.motion.verdict != 'does_not_fit',
             live.package.has_covariance, above), {
-                'lifecycle': state, 'phase': phase, 'cup': pipeline.values.cup.name or 'cup.*',
+                'lifecycle': state, 'phase': phase,
                 **health.quantiles(
                     'compute time {} (us)', health.taken(pipeline.compute), 1e6),
                 'twists against poses': live.tool.motion.verdict,

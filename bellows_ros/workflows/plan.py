@@ -19,7 +19,6 @@ from bellows_ros.core.model.grip import factors_along, Grip, Margin, margin, saf
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import checks, conversion
-from bellows_ros.core.parameters.checks import with_chosen_cup
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import (
@@ -603,8 +602,8 @@ def _effect(source: Source, tool: Trajectory) -> SteeredMotion:
 def plan_with_cup(
     path: MotionSource, settings: Mapping[str, Any], urdf: str = '', topic: str = ''
 ) -> Source:
-    """Return a plan, with the chosen cup and a package in the parameters; see `plan`."""
-    values = with_chosen_cup(checks.resolve(settings, checks.PACKAGE_PARAMETERS))
+    """Return a plan, with a package in the parameters; see `plan`."""
+    values = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
     require_types(motion=(path, str, os.PathLike, Trajectory))
     if isinstance(path, Trajectory):
         return Source(_checked_motion(path, path.twist), '', path='a motion', values=values)

@@ -2,7 +2,6 @@
 
 import time
 
-from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
@@ -98,27 +97,6 @@ def test_all_values_come_back(tmp_path):
                  '/\U0001f600\x85two', '/three\u2028lines')}
     write_parameters(tmp_path / 'p.yaml', values, ['A cup'])
     assert read_parameters(tmp_path / 'p.yaml') == values
-
-
-STIFF = tuple(Cup.thesis().stiffness.ravel().tolist())
-SOFT = tuple(0.5 * x for x in STIFF)
-NAMED = {
-    'cups.soft.stiffness': SOFT, 'cups.hard.length': 0.05, 'cup.name': 'soft',
-    'cups.hard.stiffness': STIFF, 'cups.soft.friction': 0.3, 'package.mass': 2.0,
-    'cups.soft.damping': tuple(Cup.thesis().damping.ravel().tolist()),
-    'cups.hard.stiffness_std': (0.0,) * 36}
-
-
-def test_named_cups_come_back(tmp_path):
-    path = tmp_path / 'p.yaml'
-    write_parameters(path, NAMED)
-    assert read_parameters(path) == NAMED
-    text = path.read_text()
-    assert [text.count(f'{name}:') for name in ('cups', 'soft', 'hard')] == [1, 1, 1]
-    assert text.count('# ry: N, N m/rad') == 2  # units stand beside the rows of each K
-    write_parameters(path, {**resolve({**PACKAGE, **NAMED})})  # ROS has no empty lists
-    assert read_parameters(path) == {
-        name: value for name, value in resolve({**PACKAGE, **NAMED}).items() if value != ()}
 
 
 @settings(deadline=None)

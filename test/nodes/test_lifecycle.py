@@ -2,14 +2,12 @@
 
 from threading import active_count
 
-from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.errors import BellowsError
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 import pytest
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import FluidPressure
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
@@ -152,21 +150,3 @@ def test_vacuum_attaches_and_detaches(signal, make_predictor, manager):
             fluid_pressure=30e3 if held else 101e3))
         manager.wait(lambda held=held: node.pipeline.live.attached is held)
     assert manager.hears_all()
-
-
-def test_named_cups(make_predictor):
-    """Choose a cup of the file, change it live, and refuse one that is not there."""
-    hard = Cup.thesis().stiffness.ravel()
-    soft = (0.5 * hard).tolist()
-    node = make_predictor({
-        **PACKAGE, 'cups.soft.stiffness': soft, 'cups.hard.stiffness': hard.tolist(),
-        'cup.name': 'soft'})
-    assert node.pipeline.live.model[0][2][0][0] == soft[0]
-    set_on(node, 'cup.name', 'hard')
-    assert node.pipeline.live.model[0][2][0][0] == 2 * soft[0]
-    for name, value, named in (
-            ('cup.name', 'hart', "'hard'"), ('cup.stiffness', soft, "cup.name is 'hard'")):
-        result = node.set_parameters([Parameter(name, value=value)])[0]
-        assert not result.successful and named in result.reason
-    with pytest.raises(BellowsError, match=r'cups\.blue'):
-        make_predictor({**PACKAGE, 'cup.name': 'blue'})

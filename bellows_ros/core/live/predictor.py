@@ -27,7 +27,7 @@ from bellows_ros.core.model.structure import require_stiffness
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.observer.states import CAMERA_ROWS, SAME_PACKAGE
-from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve, with_chosen_cup
+from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, gravity_of, package_of, tip_of
 from bellows_ros.core.parameters.table import lookup
 from bellows_ros.core.parameters.values import Values
@@ -180,7 +180,7 @@ class LivePredictor:
             raise BellowsError(
                 f'parameters must be a mapping of names to values, got {parameters!r}. Read a '
                 'file with bellows_ros.read_parameters.')
-        values = with_chosen_cup(resolve(parameters, PACKAGE_PARAMETERS))
+        values = resolve(parameters, PACKAGE_PARAMETERS)
         check_live(values)
         predictor = cls(
             cup_of(values), package_of(values), gravity_of(values),
@@ -329,12 +329,12 @@ class LivePredictor:
                      and parameters[name] != self._given.get(name)]:
             raise BellowsError(
                 f'{fixed[0]} cannot change while predicting. Make another LivePredictor.')
-        values = with_chosen_cup(resolve({**self._given, **parameters}))
+        values = resolve({**self._given, **parameters})
         check_live(values)
         self.use(values)
 
     def use(self, values: Values) -> None:
-        """Use checked values, with the chosen cup in cup.*."""
+        """Use checked values."""
         self._given = values
         opened = {*values.cup.open, *map(float, {*self.vacuum.open_cups, *self.lost_cups})}
         if len(opened - {-1.0}) < len(values.cup.layout) // 3:  # otherwise no cup holds

@@ -68,7 +68,7 @@ def validate(name: str, value: object) -> Value:
     if name in POSE_PARAMETERS:
         value = _pose(parameter, value, name == POSE_PARAMETERS[0])
     normal = convert(parameter, value)
-    check = _PHYSICAL.get(table.NAMED_CUP.sub(r'cup.\2', name))
+    check = _PHYSICAL.get(name)
     if check:
         check(parameter, normal)
     return normal
@@ -255,40 +255,6 @@ def require_direction(direction: ArrayLike) -> None:
         raise BellowsError(
             'gravity.direction is zero, so that nothing is down. Give the direction in which '
             'things fall, in axes of the world: [0.0, 0.0, -1.0] where z is up.')
-
-
-def cup_names(names: Iterable[str]) -> list[str]:
-    """Return the names of the cups with parameters of the form cups.NAME.*."""
-    matches = (table.NAMED_CUP.fullmatch(name) for name in names)
-    return list(dict.fromkeys(match[1] for match in matches if match))
-
-
-def with_chosen_cup(values: Values) -> Values:
-    """
-    Return parameter values with cup.* replaced by the named cup, cups.NAME.*.
-
-    The parameter cup.name selects NAME. Parameters that the named cup lacks keep their value in
-    cup.*. The validity range envelope.* belongs to the identified cup and is omitted.
-
-    Raises
-    ------
-    BellowsError
-        If no cup has this name, or its stiffness is not given.
-
-    """
-    name = values.get('cup.name', '')
-    if not name:
-        return values
-    prefix = f'cups.{name}.'
-    if f'{prefix}stiffness' not in values:
-        raise BellowsError(
-            f"cup.name is '{name}', but cups.{name}.stiffness is not set. Give it there with "
-            f'damping and length, or another name: {", ".join(cup_names(values)) or "none"}.')
-    chosen = {
-        f'cup.{key.removeprefix(prefix)}': value
-        for key, value in values.items() if key.startswith(prefix)}
-    others = {key: value for key, value in values.items() if not key.startswith('envelope.')}
-    return Values({**others, **chosen})
 
 
 Where = Callable[[Sequence[str]], str]

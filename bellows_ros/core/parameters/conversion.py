@@ -142,9 +142,10 @@ def places_of(values: Values) -> Array:
     opened = set(values.get('cup.open', ())) - {-1.0}  # -1 stands for none
     every = set(range(len(positions)))
     if not opened <= every or opened == every:
+        given = ', '.join(f'{place:g}' for place in sorted(opened))
         raise BellowsError(
-            f'cup.open has {", ".join(f"{k:g}" for k in sorted(opened))}; expected integers from 0 '
-            f'to {len(positions) - 1}, the places of cups in cup.layout, without those that hold.')
+            f'cup.open has {given}; expected integers from 0 to {len(positions) - 1}, the places '
+            'of cups in cup.layout, without those that hold.')
     indices = sorted(every - opened)
     return np.column_stack([positions[indices], indices])
 

@@ -5,11 +5,10 @@ The file `table.toml` has their entries. A 6x6 matrix is 36 numbers, row-major; 
 [ixx, iyy, izz, ixy, ixz, iyz]; units are SI.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-import re
 import tomllib
 from types import MappingProxyType
 from typing import Any, Literal
@@ -150,9 +149,6 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
 PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
     name: _parameter(name, entry) for name, entry in tomllib.loads(FILE.read_text()).items()})
 
-# A file may hold several cups, selected by cup.name: cups.NAME.stiffness is like cup.stiffness.
-NAMED_CUP = re.compile(r'cups\.([A-Za-z][A-Za-z0-9_]*)\.([a-z_]+)')
-
 
 def parameters_for(user: str) -> tuple[Parameter, ...]:
     """Return the parameters of 'identifier' or 'predictor', in the table's order."""
@@ -169,21 +165,14 @@ def lookup(name: str) -> Parameter:
         If there is none; the message names the nearest.
 
     """
-    named = NAMED_CUP.fullmatch(name)
     if name in PARAMETERS:
         return PARAMETERS[name]
-    if named and named[2] != 'name' and f'cup.{named[2]}' in PARAMETERS:
-        return replace(PARAMETERS[f'cup.{named[2]}'], name=name)
-    names = [*PARAMETERS]
-    if name.startswith('cups.'):
-        names = [f'cups.{named[1] if named else "NAME"}.{key[4:]}'
-                 for key in PARAMETERS if key.startswith('cup.') and key != 'cup.name']
-    raise BellowsError(f"Unknown parameter '{shown(name)}'. {_nearest(name[:80], names)}")
+    raise BellowsError(f"Unknown parameter '{shown(name)}'. {_nearest(name[:80])}")
 
 
-def _nearest(name: str, names: Sequence[str]) -> str:
+def _nearest(name: str) -> str:
     """Return a hint with the nearest name, the names of the group, or all groups."""
-    group, _, leaf = name.rpartition('.')
+    (group, _, leaf), names = name.rpartition('.'), [*PARAMETERS]
     inside = [other for other in names if other.startswith(f'{name}.')]
     in_group = inside or [other for other in names if group and other.startswith(f'{group}.')]
     leaves = {} if in_group else {o.rpartition('.')[2]: o for o in reversed(names)}
