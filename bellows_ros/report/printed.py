@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import math
 import textwrap
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.findings import Level
 from bellows_ros.core.parameters.table import Parameter, PARAMETERS
-from bellows_ros.core.recording.alignment import MIN_REST
 from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files.parameter_files import format_parameters
 from bellows_ros.workflows.info import Info, TopicInfo
@@ -20,7 +19,7 @@ import numpy as np
 from .findings import sets
 from .findings import text as text_of
 from .sentences import listed, many
-from .text import column, display_unit, formatted, with_error
+from .text import DISPLAYED, formatted, quantity
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
@@ -36,14 +35,27 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
            'cup.length')
 """Quantities that a recording does not contain: comments of the file, to fill in."""
 
+FIGURES = {
+    'duration': ('duration', 's'), 'added_time': ('longer by', 's'),
+    'smallest_safety_factor': ('smallest safety factor', ''),
+    'peak_bending': ('largest bending', 'deg'), 'peak_deflection': ('largest deflection', 'mm'),
+    'peak_force': ('largest force', 'N'), 'peak_moment': ('largest moment', 'N m'),
+    'rigid_peak_moment': ('with a rigid cup', 'N m'), 'swing_left': ('residual swing', 'deg'),
+    'expected_swing': ('expected swing', 'deg'), 'settled_after': ('settled after', 's'),
+    'speed': ('speed', 'm/s'), 'acceleration': ('acceleration', 'm/s^2'),
+    'angular_speed': ('angular speed', 'deg/s')}
+"""Printed names and units of the numbers of a plan."""
+
 
 def print_info(result: Info, out: Any, file: str = '') -> None:
     """Print the topics, their roles, the settings in the file of --write-params, and notes."""
-    out.table(_topic_rows(result), title=f'Recording {result.path}')
-    for topic in result.topics:
-        for line in _facts(topic):
-            out.paragraph(f'  {topic.name}: {line}')
-    out.line()
+    out.table(_topic_rows(result.topics), title=f'Recording {result.path}')
+    out.table([('topic', 'left out', 'outliers', 'longest gap', 'noise mm (x y z)', 'deg'), *(
+        (topic.name, ', '.join(f'{count} {reason}' for reason, count in topic.refused.items()),
+         f'{topic.outliers}', f'{MILLI * max((gap for _, gap in topic.gaps), default=0.0):.0f} ms',
+         *(' '.join(f'{factor * x:.3f}' for x in topic.noise.get(name, ()))
+           for name, factor in (('position', MILLI), ('rotation', math.degrees(1.0)))))
+        for topic in result.topics if topic.kind)])
     for role in ('tool', 'package', 'twist'):
         guess = getattr(result, role)
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
@@ -52,14 +64,6 @@ def print_info(result: Info, out: Any, file: str = '') -> None:
     if result.valve:
         out.paragraph(
             f'Valve    probably {result.valve}: the only std_msgs/Bool (topics.valve).')
-    if signal := result.settings.get('vacuum.signal'):
-        out.paragraph(
-            f'Vacuum   recorded: with vacuum.signal: {signal} only the holds are used.')
-    if world := result.settings.get('recording.world'):
-        axes = 'z up' if world == 'z_up' else "Motive's, y up"
-        out.line(f'World    probably {axes} (recording.world: {world}).')
-    if result.rest_s is not None and result.rest_s >= MIN_REST:
-        out.line(f'Both stand still for the first {result.rest_s:.1f} s.')
     found = {name: list(value) if isinstance(value, tuple) else value
              for name, value in result.settings.items() if name != 'bags'}
     settled, open_ones = ([each for each in result.findings if found.keys().isdisjoint(
@@ -74,36 +78,19 @@ def print_info(result: Info, out: Any, file: str = '') -> None:
         out.paragraph(*(f'  {line}' for line in lines))
 
 
-def _topic_rows(result: Info) -> list[tuple[str, ...]]:
+def _topic_rows(topics: Sequence[TopicInfo]) -> list[tuple[str, ...]]:
     """Return a row per topic."""
-    first_ns = min((topic.start_ns for topic in result.topics if topic.kind), default=0)
+    first_ns = min((topic.start_ns for topic in topics if topic.kind), default=0)
     rows: list[tuple[str, ...]] = [
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
-    for topic in result.topics:
+    for topic in topics:
         begin = (topic.start_ns - first_ns) / NS_PER_S
         rows.append((topic.name, topic.type_name.rpartition('/')[2], str(topic.messages), *(
-            formatted(size, form, unit, unknown='') if topic.kind else '' for size, form, unit in (
-                (topic.rate_hz, '.1f', 'Hz'), (1e3 * topic.jitter_s, '.2f', 'ms'),
-                (begin, '.2f', 's'), (begin + topic.duration_s, '.2f', 's'),
-                (len(topic.gaps), '.0f', '')))))
+            (formatted(topic.rate_hz, '.1f', 'Hz', unknown=''),
+             formatted(topic.jitter_s, '.2f', 'ms', MILLI, ''), f'{begin:.2f} s',
+             f'{begin + topic.duration_s:.2f} s', f'{len(topic.gaps)}')
+            if topic.kind else 5 * ('',))))
     return rows
-
-
-def _facts(topic: TopicInfo) -> Iterator[str]:
-    """Yield the faults in a topic's messages, and the noise of its poses."""
-    result = [f'{count} {reason.replace("_", " ")}' for reason, count in topic.refused.items()]
-    if result:
-        yield f'messages left out: {", ".join(result)}'
-    if topic.outliers:
-        yield f'{many(topic.outliers, "outlier")}, as where tracking is lost'
-    if topic.gaps:
-        longest = max(length for _, length in topic.gaps)
-        yield f'{many(len(topic.gaps), "gap")}, the longest {longest * 1e3:.0f} ms'
-    if topic.noise:
-        position, rotation = (
-            ' '.join(f'{factor * x:.3f}' for x in topic.noise[name])
-            for name, factor in (('position', 1e3), ('rotation', math.degrees(1.0))))
-        yield f'noise of {position} mm, {rotation} deg (x y z)'
 
 
 def cell_file(result: Info) -> str:
@@ -160,12 +147,10 @@ def print_release(result: ReleaseResult, out: Any) -> None:
     fit = result.fit
     out.line(f'Release identified from {many(len(fit.drops), "drop")} in '
              f'{listed(result.inputs)}', 'bold')
-    rows = [('parameter', 'value')]
-    for k, (name, of_law) in enumerate(RELEASE_UNITS.items()):
-        factor, unit = display_unit(of_law)
-        std = math.inf if k in fit.not_identifiable else float(fit.std[k])
-        rows.append((name, with_error(factor * fit.law[k], factor * std, unit)))
-    out.table(rows)
+    out.table([('parameter', 'value'), *(
+        (name, quantity(fit.law[k], math.inf if k in fit.not_identifiable else float(fit.std[k]),
+                        DISPLAYED.get(unit, unit)))
+        for k, (name, unit) in enumerate(RELEASE_UNITS.items()))])
     out.table([('mass', 'drops', 'lets go after', 'position', 'velocity'), *(
         (f'{mass:.3g} kg', f'{count}', formatted(released, '.1f', 'ms', MILLI, 'later'),
          f'{MILLI * position:.2f} mm', f'{MILLI * velocity:.1f} mm/s')
@@ -181,11 +166,21 @@ def print_release(result: ReleaseResult, out: Any) -> None:
 
 def print_plan(report: PlanReport, out: Any) -> None:
     """Print the numbers and their meaning."""
-    source = report.source
+    source, prediction = report.source, report.prediction
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     out.line(f'Plan {source.path}', 'bold')
     out.line(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
-    out.table(_figure_rows(report))
+    _, mode, time = prediction.smallest_safety
+    remarks = {'smallest_safety_factor': f'{mode}, at {time:.3f} s'}
+    rows = [(FIGURES[name][0], quantity(value, report.std[name], FIGURES[name][1]),
+             remarks.get(name, ''))
+            for name, value in prediction.summary().items()
+            if name in FIGURES and not math.isnan(value)]
+    if report.sought:
+        scale, std = report.fastest[::3] if report.fastest else (math.nan, math.nan)
+        rows.append(('shortest safe time', quantity(
+            scale * source.duration, std * source.duration, 's'), f"{scale:.3f} of the plan's"))
+    out.table(rows)
     if report.moves[1:]:
         out.table([('move', 'from', 'to', 'least safety factor'), *(
             (f'{number}', f'{begin:.2f} s', f'{end:.2f} s', f'{factor:.2f}')
@@ -201,91 +196,39 @@ def print_plan(report: PlanReport, out: Any) -> None:
             '. The validity range of the cup is unknown.'), 'green')
 
 
-def _figure_rows(report: PlanReport) -> list[tuple[str, str, str]]:
-    """Return rows to print: name, value with its standard deviation, and a remark."""
-    prediction, degrees = report.prediction, display_unit('rad')
-    figures = prediction.summary()
-
-    def value(name: str, factor: float, unit: str) -> str:
-        return with_error(factor * figures[name], factor * report.std[name], unit)
-
-    rows = [
-        ('largest bending', value('peak_bending', *degrees), ''),
-        ('largest deflection', value('peak_deflection', 1e3, 'mm'), ''),
-        ('largest force', value('peak_force', 1.0, 'N'), ''),
-        ('largest moment', value('peak_moment', 1.0, 'N m'),
-         f'with a rigid cup {value("rigid_peak_moment", 1.0, "N m")}')]
-    if prediction.grip:
-        factor, mode, time = prediction.smallest_safety
-        rows.insert(0, ('smallest safety factor', 'none', 'the package presses on the cup')
-                    if math.isinf(factor) else (
-                        'smallest safety factor', value('smallest_safety_factor', 1.0, ''),
-                        f'{mode}, at {time:.3f} s'))
-    if prediction.ends_at_rest:
-        after = figures['settled_after']
-        still = 'below 0.5 degrees' + (f' after {after:.2f} s' if after > 0.0 else '')
-        rows.append(('residual swing', value('swing_left', *degrees), still if
-                     math.isfinite(after) else 'not below 0.5 degrees within 30 s'))
-    if fastest := report.fastest:
-        duration = report.source.duration
-        rows.append(('shortest safe time', with_error(
-            fastest.scale * duration, fastest.scale_std * duration, 's'),
-            f"{fastest.scale:.3f} of the plan's"))
-    elif report.sought:
-        rows.append(('shortest safe time', 'none', ''))
-    return rows
-
-
 def print_steered(report: SteerReport, out: Any) -> None:
     """Print the effects of the motions."""
     out.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
-    rows: list[tuple[str, ...]] = [
-        ('motion', 'duration s', 'longer s', 'bending deg', 'residual deg', 'expected deg',
-         'settled s', 'safety')]
-    for name, motion in report.motions.items():
-        figures = motion.summary()
-        rows.append((
-            name, f'{figures["duration"]:.3f}', f'{figures["added_time"]:.3f}',
-            *(formatted(angle, '.3f', factor=math.degrees(1.0))
-              for angle in (figures['peak_bending'], figures['swing_left'],
-                            figures['expected_swing'])),
-            formatted(figures['settled_after'], '.2f'),
-            formatted(figures['smallest_safety_factor'], '.2f')))
-    out.table(rows, right=True)
-    figures = report.motions[report.method].summary()
-    out.paragraph(
-        f'The tool moves at up to {figures["speed"]:.3g} m/s, {figures["acceleration"]:.3g} '
-        f'm/s^2, {math.degrees(1.0) * figures["angular_speed"]:.3g} deg/s and '
-        f'{math.degrees(1.0) * figures["angular_acceleration"]:.0f} deg/s^2.',
-        *map(text_of, report.findings))
+    each = [motion.summary() for motion in report.motions.values()]
+    out.table([('', *report.motions), *(
+        (label, *(quantity(figures[name], 0.0, unit) for figures in each))
+        for name, (label, unit) in FIGURES.items() if name in each[0])])
+    out.paragraph(*map(text_of, report.findings))
 
 
 def print_toss(result: TossResult, out: Any) -> None:
     """Print release, landing, its uncertainty, and the largest contribution."""
-    toss, case = result.toss, result.case
-    delay = MILLI * (toss.release_time - case.switched)
-    x, y, _ = toss.landing[0]
+    toss, case, aim = result.toss, result.case, result.aim
     std = np.sqrt(np.diag(result.covariance))
-    rotation_std = math.degrees(float(np.linalg.norm(std[3:])))
     mode = 'its lip peels' if result.mode == 'peel' else (
         'its suction is blown off' if case.release.law[3] else 'an assumed delay' if (
             result.assumed) else 'after the delay')
-    out.line('Toss', 'bold')
-    out.line(
-        f'  valve     {case.switched:.4f} s; lets go {delay:.1f} ms later ({mode}) at '
-        f'{math.hypot(*toss.release[2]):.2f} m/s')
-    out.line(f'  landing   {toss.landing_time:.4f} s at x {with_error(x, std[0], "m")}, '
-             f'y {with_error(y, std[1], "m")}')
-    turned = f'turned ± {rotation_std:.2g} deg, ' if rotation_std else ''
-    out.line(f'            {turned}tumbling at {math.degrees(toss.tumbling):.2g} deg/s')
-    if aim := result.aim:
-        asked = result.distance_as_asked
-        gain = '' if asked is None else f', instead of {MILLI * asked:.1f} mm with --release'
-        angle = f', {math.degrees(aim.angle):.1f} deg' if aim.angle else ''
-        out.line(f'  target    {MILLI * aim.distance:.2f} mm{angle} away{gain}')
-    if failed := result.scatter.failed:
-        out.line(f'  failed    {failed} of {failed + len(result.scatter.errors)} drawn tosses')
-    out.line()
+    asked = result.distance_as_asked
+    gain = '' if asked is None else f'instead of {MILLI * asked:.1f} mm with --release'
+    lost = result.scatter.failed
+    out.table([
+        ('valve', f'{case.switched:.4f} s', ''),
+        ('lets go later by', quantity(toss.release_time - case.switched, 0.0, 'ms'),
+         f'{mode}, at {math.hypot(*toss.release[2]):.2f} m/s'),
+        ('landing', f'{toss.landing_time:.4f} s',
+         f'{lost} of {lost + len(result.scatter.errors)} drawn tosses fail' if lost else ''),
+        *((f'at {axis}', quantity(x, error, 'm'), '')
+          for axis, x, error in zip('xy', toss.landing[0], std, strict=False)),
+        ('turned by', f'± {math.degrees(float(np.linalg.norm(std[3:]))):.2g} deg', ''),
+        ('tumbling at', quantity(toss.tumbling, 0.0, 'deg/s'), ''),
+        *([('target away', quantity(aim.distance, 0.0, 'mm'), gain),
+           ('turned from target', quantity(aim.angle, 0.0, 'deg'), '')] if aim else ())],
+        title='Toss')
     _print_budget(result, out)
     out.warn(*result.warnings)
 
@@ -299,22 +242,19 @@ def _print_budget(result: TossResult, out: Any) -> None:
             "release.std, package.mass_std and package.com_std; 'bellows "
             "identify' writes cup.*_std.")
         return
-    shifts = [MILLI * group.metres for group in groups]
-    angles = [math.degrees(group.radians) for group in groups]
     rows = [('uncertain quantity', 'std. dev.', 'at landing', 'turned')]
-    for group, shift, angle in zip(
-            groups, *(column(sizes, 0.1 * max(sizes) or 1.0) for sizes in (shifts, angles)),
-            strict=True):
-        parameter = PARAMETERS.get(group.name)
-        factor, unit = display_unit(parameter.unit if parameter else '')
-        unknown = 'see release.std' if group.name == 'release' else f'see {group.name}_std'
-        rows.append((group.name, formatted(group.std, '.3g', unit, factor, unknown),
-                     f'{shift} mm', f'{angle} deg'))
+    for group in groups:
+        unit = PARAMETERS[group.name].unit if group.name in PARAMETERS else ''
+        name = 'release.std' if group.name == 'release' else f'{group.name}_std'
+        rows.append((
+            group.name, f'see {name}' if math.isnan(group.std) else quantity(
+                group.std, 0.0, DISPLAYED.get(unit, unit)),
+            f'{MILLI * group.metres:.2f} mm', f'{math.degrees(group.radians):.3f} deg'))
     out.table(rows, right=True)
-    total, first = math.hypot(*shifts), groups[0].name
+    first, *others = (MILLI * group.metres for group in groups)
     text = (
-        f'Reduce first: {first}, {shifts[0]:.1f} of {total:.1f} mm. If it were known exactly, '
-        f'{math.hypot(*shifts[1:]):.1f} mm would remain.')
+        f'Reduce first: {groups[0].name}, {first:.1f} of {math.hypot(first, *others):.1f} mm. If '
+        f'it were known exactly, {math.hypot(*others):.1f} mm would remain.')
     if result.per_millisecond:
         text += (' Each millisecond of the valve moves the landing by '
                  f'{MILLI * result.per_millisecond:.1f} mm.')
@@ -323,13 +263,11 @@ def _print_budget(result: TossResult, out: Any) -> None:
 
 def print_simulation(report: SimulationReport, out: Any) -> None:
     """Print the numbers of messages and of faults."""
-    out.line(f'Recorded {report.duration_s:g} s to {report.bag}', 'bold')
-    width = max(map(len, report.messages))
-    for topic, count in report.messages.items():
-        kinds = Counter(event.kind for event in report.events if event.topic == topic)
-        put_in = [many(count, kind) for kind, count in kinds.items()]
-        out.line(f'  {topic:{width}}  {count:6} messages'
-                 + (f', with {" and ".join(put_in)}' if put_in else ''))
+    kinds = Counter((event.topic, event.kind) for event in report.events)
+    out.table([('topic', 'messages', 'outliers', 'dropouts'), *(
+        (topic, f'{count}', f'{kinds[topic, "outlier"]}', f'{kinds[topic, "dropout"]}')
+        for topic, count in report.messages.items())], right=True,
+        title=f'Recorded {report.duration_s:g} s to {report.bag}')
     out.line(f'The cup bends by up to {math.degrees(report.largest_bending_rad):.1f} degrees, '
              f'at {report.largest_bending_time_s:.2f} s.')
     if report.margin:

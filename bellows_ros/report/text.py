@@ -49,8 +49,8 @@ def with_error(value: float, error: float, unit: str = '') -> str:
     """
     if math.isinf(error):
         return 'not identifiable'
-    if not (math.isfinite(error) and error > 0.0 and math.isfinite(value)):
-        return f'{value:.5g} {unit}'.rstrip()
+    if not (error > 0.0 and math.isfinite(value)):
+        return f'{value:z.5g} {unit}'.rstrip()
     value_text, error_text = column([value, error], error)
     return f'{value_text} ± {error_text} {unit}'.rstrip()
 
@@ -77,13 +77,19 @@ def formatted(
     return f'{factor * value:z{form}} {unit}'.rstrip()
 
 
-def display_unit(unit: str) -> tuple[float, str]:
-    """Return factor and name of the printed unit of a small quantity."""
-    if unit == 'kg':
-        return 1e3, 'g'
-    if unit == 'rad':
-        return float(DISPLAY_FACTORS[3]), DISPLAY_UNITS[3]
-    return (1e3, f'm{unit}') if unit in ('m', 's', 'N s') else (1.0, unit)
+DISPLAYED = {'kg': 'g', 'rad': 'deg', 'm': 'mm', 's': 'ms', 'N s': 'mN s'}
+"""Printed units of small quantities."""
+FACTORS = {**dict.fromkeys(('g', 'mm', 'ms', 'mN s', 'mrad'), 1e3),
+           **dict.fromkeys(('deg', 'deg/s'), math.degrees(1.0))}
+"""Numbers of printed units in an SI unit; 1 for others."""
+
+
+def quantity(value: float, error: float, unit: str) -> str:
+    """Return a number in SI units with its error, if any, in a printed unit."""
+    factor = FACTORS.get(unit, 1.0)
+    if not error > 0.0:
+        return formatted(value, '.4g', unit, factor)
+    return with_error(factor * value, factor * error, unit)
 
 
 class Writer:
@@ -174,47 +180,34 @@ def print_identification(result: 'Identification', out: Any) -> None:
 
 def print_cup(fit: Fit, out: Any) -> None:
     """Print K and P with standard errors, a line per direction; with couplings all entries."""
-    structure = structure_named(fit.structure)
-    exact, given = fit.exactly_given, fit.from_given is not None
+    structure, exact = structure_named(fit.structure), fit.exactly_given
     matrices = (('stiffness K', 'K', fit.stiffness, exact.stiffness_std, fit.stiffness_std),
                 ('damping P', 'P', fit.damping, exact.damping_std, fit.damping_std))
-    columns: list[list[str]] = []
-    for title_of, name, *of_name in matrices:
-        ends = [[M[axes[0], axes[0]] for M in of_name] for axes in structure.tied_axes]
-        columns.append([title_of, *(
-            with_error(value, error, UNITS[name][2 * (axes[0] > 2)])
-            for axes, (value, error, _) in zip(structure.tied_axes, ends, strict=True))])
-        columns.append(['incl. given quantities', *(
-            _in_percent(both, value) for value, _, both in ends)])
-    names = ['axis', *(', '.join(AXES[axis] for axis in axes) for axes in structure.tied_axes)]
-    for part in (columns[:2], columns[2:]) if given else (columns[::2],):
-        out.table(list(zip(names, *part, strict=True)))
-    if given:
+    columns = 3 if fit.from_given is not None else 2
+    for title, name, *of_name in matrices:
+        rows: list[tuple[str, ...]] = [('axis', title, 'incl. given quantities')]
+        for axes in structure.tied_axes:
+            value, error, both = (M[axes[0], axes[0]] for M in of_name)
+            rows.append((
+                ', '.join(AXES[axis] for axis in axes),
+                with_error(value, error, UNITS[name][2 * (axes[0] > 2)]),
+                f'± {float(f"{100.0 * both / abs(value):.2g}"):g} %' * math.isfinite(both)))
+        out.table([row[:columns] for row in rows])
+    if columns > 2:
         out.paragraph(TWO_ERRORS)
-    for law, numbers, stds, labels, units in (
-            ('The rubber relaxes (K is the static stiffness)', fit.relaxation,
-             fit.relaxation_std, ('r1', 'r2'), ('', '')),
-            ('The cup is stiffer in tension than in compression', fit.stretch,
-             fit.stretch_std, ('a', 'b'), ('N/m^2', 'N'))):
+    for law, numbers, errors, names in (
+            ('The rubber relaxes (K is the static stiffness): r1 = {}, r2 = {}.',
+             fit.relaxation, fit.relaxation_std, ('', '')),
+            ('The cup is stiffer in tension than in compression: a = {}, b = {}.',
+             fit.stretch, fit.stretch_std, ('N/m^2', 'N'))):
         if any(numbers):
-            out.paragraph(f'{law}: ' + ', '.join(
-                f'{label} = {with_error(value, error, unit)}' for label, value, error, unit in zip(
-                    labels, numbers, stds, units, strict=True)) + '.')
+            out.paragraph(law.format(*map(with_error, numbers, errors, names)))
     for _, name, matrix, _, std in matrices if structure.couples else ():
-        linear, coupling, angular = UNITS[name]
-        rows: list[tuple[str, ...]] = [('', *AXES)]
-        for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True):
-            rows.append((axis, *('-' if math.isinf(error) else f'{value:.4g}'
-                                 for value, error in zip(values, errors, strict=True))))
-        out.table(rows, right=True, title=f'{name} in {linear}, {coupling} and {angular}:')
-
-
-def _in_percent(error: float, value: float) -> str:
-    """Return a standard error relative to its value, '' if the value is not identifiable."""
-    if not (math.isfinite(error) and value):
-        return ''
-    percent = 100.0 * error / abs(value)
-    return f'± {percent:.2g} %' if percent < 99.5 else f'± {percent:.0f} %'
+        out.table([('', *AXES), *(
+            (axis, *('-' if math.isinf(error) else f'{value:.4g}'
+                     for value, error in zip(values, errors, strict=True)))
+            for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True))],
+            right=True, title='{} in {}, {} and {}:'.format(name, *UNITS[name]))
 
 
 def print_replay(result: 'Replay', out: Any) -> None:
