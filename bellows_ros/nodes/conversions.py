@@ -60,12 +60,14 @@ def reader(kind: type) -> Callable[[bytes], Decoded]:
     """
     name = type_name(kind)
     decode, layout = Decoder(name), messages.LAYOUTS[name]
+    twist = layout.twist or slice(0)
     unknown = (math.nan,) * layout.doubles
     damaged = NO_STAMP, ('',) * layout.strings, unknown
 
     def read(data: bytes) -> Decoded:
         if decoded := decode(data):
-            is_bounded = max(map(abs, decoded[2][:7])) < MAX_NUMBER  # without covariances
+            numbers = decoded[2][:7] + decoded[2][twist]  # without covariances
+            is_bounded = max(map(abs, numbers)) < MAX_NUMBER
             return decoded if is_bounded else (*decoded[:2], unknown)
         with suppress(Exception):  # of the middleware, or for a string that is not UTF-8
             return decode(serialize_message(deserialize_message(data, kind))) or damaged
