@@ -523,8 +523,6 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
     output('--out', kind=Folder, metavar='NAME', required=True, help='recording to write'),
     click.option('--topic', multiple=True, metavar='TOPIC', help=(
         'topic for each body, in the same order (default: /NAME/pose)')),
-    click.option('--markers', type=int, default=3, metavar='N', help=(
-        'leave out poses of Motive with fewer visible markers than this (default: 3)')),
     click.option('--storage', type=click.Choice(['mcap', 'sqlite3']), default='mcap', help=(
         'storage of the recording')),
     FORCE, JSON)
@@ -545,8 +543,7 @@ def convert(arguments: Any, console: 'Console') -> Outcome:
 
     console.progress('converting')
     done = workflow.convert(
-        arguments.sources, arguments.out, arguments.topic, arguments.markers, arguments.storage,
-        arguments.force)
+        arguments.sources, arguments.out, arguments.topic, arguments.storage, arguments.force)
     return Outcome(partial(print_conversion, done), done, (
         'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
 

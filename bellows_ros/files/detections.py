@@ -22,7 +22,7 @@ from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
 from bellows_ros.files.bags import absolute, Contents
 from bellows_ros.files.messages import CAMERA_INFO, DETECTIONS, IMAGE
-from bellows_ros.files.plan_messages import ns_of, pose_of
+from bellows_ros.files.plans import ns_of, TRANSFORM
 import numpy as np
 
 TF_TOPIC = '/tf'
@@ -101,7 +101,7 @@ def poses_on_tf(path: File, child: str) -> PoseStream:
         raise BellowsError(
             f"Frame '{shown(name)}' of measured.child_frame {what} on /tf in recording "
             f"'{Path(path)}'. Frames: {others or 'none'}. Name one with one parent.")
-    rows = [(stamp, stamp, 0, pose_of(each.translation, each.rotation)) for stamp, _, each in own]
+    rows = [(stamp, stamp, 0, TRANSFORM(each)) for stamp, _, each in own]
     return messages.pose_stream(
         f'/tf, {name}', np.array(rows, messages.rows(7)), [(parents[0], name)])
 

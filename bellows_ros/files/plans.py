@@ -1,30 +1,31 @@
 """
-Plans and tool motions from files: messages of several types in recordings, or YAML.
+Plans and tool motions as messages: read from recordings, topics or YAML, and written as CDR.
 
-The results are points in the form of `plan_messages.PlanMessage`, unchecked and not interpolated.
+Messages of rclpy, of rosbags and from YAML have the same attributes. Plans are unchecked and not
+interpolated.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 import json
-from pathlib import Path
+from operator import attrgetter
+import struct
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
+from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import Arm, read_arm
-from bellows_ros.errors import BellowsError, shown
-from bellows_ros.files import bags, File, read_text, safe_yaml
-from bellows_ros.files.plan_messages import (
-    JointPlan,
-    JOINTS,
-    MULTI_DOF,
-    ns_of,
-    PATH,
-    PlanMessage,
-    plans_of,
-)
+from bellows_ros.core.planning.points import JointPath, require_count
+from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
+from bellows_ros.errors import BellowsError, require_names, shown
+from bellows_ros.files import bags, File, read_text
+from bellows_ros.files.messages import HEAD, LIP_FRAME, PACKAGE_FRAME
 import numpy as np
 
+MULTI_DOF = 'trajectory_msgs/msg/MultiDOFJointTrajectory'
+PATH = 'nav_msgs/msg/Path'
+JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
 PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, 'moveit_msgs/msg/RobotTrajectory',
@@ -32,11 +33,206 @@ PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, 'moveit_msgs/msg/RobotTrajectory',
 """Message types of plans."""
 
 
-class NoArmError(BellowsError):
-    """Joints are given without their arm."""
+class Plan(NamedTuple):
+    """
+    A plan in the form of messages.
+
+    Parameters
+    ----------
+    kind : str
+        `MULTI_DOF` or `PATH` for poses of the tool, `JOINTS` for positions of an arm's joints.
+    stamp_ns : int
+        Stamp of the header, ns; 0 if the plan starts with the motion of the tool.
+    frame_id : str
+    names : tuple of str
+        Names of the joints; one, the moving frame, for poses.
+    times_ns : int array (N,)
+        Times from the start, ns.
+    points : array (N, 7) or (N, K)
+        Position (m) and quaternion xyzw, or positions of the joints, rad or m.
+    rates, accelerations : array or None
+        Twists (N, 6), or the derivatives (N, K) of the joints.
+
+    """
+
+    kind: str
+    stamp_ns: int
+    frame_id: str
+    names: tuple[str, ...]
+    times_ns: Stamps
+    points: Array
+    rates: Array | None = None
+    accelerations: Array | None = None
 
 
-def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | JointPlan]]:
+def plan_of_motion(
+    motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str
+) -> Plan:
+    """Return a motion as the plan of a body, with twists in axes of the 'world' or of the body."""
+    twist = np.asarray(motion.twist)
+    if axes == 'world':
+        twist = lie.apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
+    return Plan(MULTI_DOF, stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
+                pose_rows(motion), twist)
+
+
+def plan_of_path(stamp_ns: int, frame_id: str, names: Sequence[str], path: JointPath) -> Plan:
+    """Return a motion of joints as a plan."""
+    times_ns = np.round(path.seconds * NS_PER_S).astype(np.int64)
+    return Plan(JOINTS, stamp_ns, frame_id, tuple(names), times_ns, *path[1:])
+
+
+def require_frame(frame_id: str, values: Values) -> None:
+    """
+    Raise for a plan in a frame that moves with the tool.
+
+    Raises
+    ------
+    BellowsError
+        If the frame is of the tool, the lip or the package.
+
+    """
+    if frame_id in (values.frames.tool, LIP_FRAME, PACKAGE_FRAME):
+        raise BellowsError(
+            f"The plan is in frame '{shown(frame_id)}', which moves; expected one in which "
+            "gravity keeps its direction, such as the arm's base. Transform the plan.")
+
+
+# ---------------------------------------------------------------------------------------- writing
+
+
+def encode(plan: Plan) -> bytes:
+    """
+    Encode a plan as CDR, little-endian.
+
+    Points have a constant spacing in memory, as doubles are aligned to 8: NumPy writes a plan of
+    2,000 points in the time of 20 Python objects.
+    """
+    message = struct.pack('<iI', *divmod(plan.stamp_ns, NS_PER_S)) + _text(plan.frame_id)
+    fields, time_ns = list[tuple[str, Any]](), np.asarray(plan.times_ns)
+    if plan.kind == PATH:
+        time_ns, text = time_ns + plan.stamp_ns, plan.frame_id.encode() + b'\0'
+        fields += [('<u4', len(text)), (f'S{len(text)}', text), ('(7,)<f8', plan.points)]
+    else:
+        message += struct.pack('<I', len(plan.names)) + b''.join(map(_text, plan.names))
+        of_joints = plan.kind == JOINTS
+        for part in (*plan[5:], *[None] * of_joints):  # without efforts
+            fields.append(('<u4', 0 if part is None else len(plan.names) if of_joints else 1))
+            if part is not None:
+                fields.append((f'({part.shape[1]},)<f8', part))
+    time = [('<i4', time_ns // NS_PER_S), ('<u4', time_ns % NS_PER_S)]
+    fields = time + fields if plan.kind == PATH else fields + time
+    message += struct.pack('<I', len(time_ns))
+    for rows_of in (slice(0, 1), slice(1, None)):  # the first may have another padding
+        offsets, end = [], len(message) % 8
+        for dtype in (np.dtype(form) for form, _ in fields):
+            end += -end % dtype.alignment
+            offsets.append(end - len(message) % 8)
+            end += dtype.itemsize
+        names = [f'{number}' for number in range(len(fields))]
+        rows = np.zeros(len(time_ns[rows_of]), {
+            'names': names, 'formats': [form for form, _ in fields], 'offsets': offsets,
+            'itemsize': end - len(message) % 8})
+        for name, (_, column) in zip(names, fields, strict=True):
+            rows[name] = column[rows_of] if isinstance(column, np.ndarray) else column
+        message += rows.tobytes()
+    return HEAD + message
+
+
+def _text(text: str) -> bytes:
+    """Return a string with its length, padded to a multiple of 4."""
+    raw = text.encode() + b'\0'
+    return struct.pack('<I', len(raw)) + raw + bytes(-len(raw) % 4)
+
+
+# ---------------------------------------------------------------------------------------- reading
+
+Row = Callable[[Any], tuple[float, ...]]
+
+XYZ, XYZW = ('x', 'y', 'z'), ('x', 'y', 'z', 'w')
+TRANSFORM: Row = attrgetter(*(f'translation.{x}' for x in XYZ), *(f'rotation.{x}' for x in XYZW))
+POSE: Row = attrgetter(*(f'position.{x}' for x in XYZ), *(f'orientation.{x}' for x in XYZW))
+TWIST: Row = attrgetter(*(f'{part}.{x}' for part in ('linear', 'angular') for x in XYZ))
+
+
+def plans_of(message: Any) -> list[Plan]:
+    """
+    Return the plans in a message of one of `PLAN_TYPES`.
+
+    Raises
+    ------
+    BellowsError
+        If the points are too few, uneven or in several frames, or a name is unusable.
+
+    """
+    if hasattr(message, 'poses'):
+        return [_path(message)]
+    if hasattr(message, 'trajectory') or hasattr(message, 'joint_trajectory'):
+        parts = [each.joint_trajectory if each.joint_trajectory.points  # of joints, or of a body
+                 else each.multi_dof_joint_trajectory
+                 for each in getattr(message, 'trajectory', [message])]
+        return [_points(part) for part in parts if part.points]
+    return [_points(message)]
+
+
+def _points(message: Any) -> Plan:
+    """Return the points of a trajectory of joints or of a body."""
+    points: Sequence[Any] = message.points or ()
+    names = tuple(message.joint_names)
+    require_count(len(points), 'The plan')
+    require_names((message.header.frame_id, *names), 'the plan')
+    of_tool = hasattr(points[0], 'transforms')
+    if of_tool and len(names) > 1:
+        raise BellowsError(
+            f"The plan has the joint names {shown(', '.join(names), 200)}, but points "
+            'with 1 transform; expected 1 name. Send a plan of the tool alone.')
+    count, parts = (1, {'transforms': TRANSFORM, 'velocities': TWIST}) if of_tool else (
+        len(names), dict.fromkeys(('positions', 'velocities', 'accelerations')))
+    columns = [_column(points, part, count, row) for part, row in parts.items()]
+    if columns[0] is None:
+        raise BellowsError(f'The plan has points without {next(iter(parts))}; expected them in '
+                           'each.')
+    times_ns = np.array([ns_of(each.time_from_start) for each in points], np.int64)
+    return Plan(MULTI_DOF if of_tool else JOINTS, ns_of(message.header.stamp),
+                message.header.frame_id, names, times_ns, columns[0], *columns[1:])
+
+
+def _column(points: Sequence[Any], part: str, count: int, row: Row | None) -> Array | None:
+    """Return a field of all points, None without the field; raise if some points lack it."""
+    lists: list[Any] = [getattr(point, part, ()) for point in points]
+    if not any(map(len, lists)):
+        return None
+    for number, each in enumerate(lists):
+        if len(each) != count:
+            raise BellowsError(
+                f'The plan: point {number} (the first is 0) has {len(each)} {part}; expected '
+                f'{count} in every point, one per joint or for the tool, or none at all.')
+    return np.array([row(each[0]) for each in lists] if row else lists, dtype=float)
+
+
+def _path(message: Any) -> Plan:
+    """Return the points of a Path, with times from the first pose."""
+    require_count(len(message.poses), 'The plan')
+    header = message.header
+    require_names((header.frame_id,), 'the plan')
+    if frames := {pose.header.frame_id for pose in message.poses} - {header.frame_id, ''}:
+        raise BellowsError(
+            f"The plan is in frame '{header.frame_id}', but has poses in '{sorted(frames)[0]}'; "
+            'expected one frame. Transform them before.')
+    stamps = np.array([ns_of(pose.header.stamp) for pose in message.poses])
+    return Plan(PATH, ns_of(header.stamp), header.frame_id, ('tool',), stamps - stamps[0],
+                np.array([POSE(pose.pose) for pose in message.poses], dtype=float))
+
+
+def ns_of(stamp: Any) -> int:
+    """Return a stamp or duration in ns, from integers of any size in ROS."""
+    for count, lowest, highest in ((stamp.sec, -2**31, 2**31), (stamp.nanosec, 0, 2**32)):
+        if not isinstance(count, int | np.integer) or not lowest <= count < highest:
+            raise ValueError(f'{count} as seconds or nanoseconds')
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def plans_in(path: File, topic: str = '') -> list[tuple[str, Plan]]:
     """
     Return the plans in a recording, each with its topic, in the order of the files.
 
@@ -50,7 +246,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, PlanMessage | Joint
             for plan in plans_of(message)]
 
 
-def plans_in_yaml(content: Mapping[str, Any], name: str) -> list[PlanMessage | JointPlan]:
+def plans_in_yaml(content: Mapping[str, Any], name: str) -> list[Plan]:
     """
     Return the plans in a message as YAML, as `ros2 topic echo --once` prints it.
 
@@ -75,7 +271,7 @@ def plans_in_yaml(content: Mapping[str, Any], name: str) -> list[PlanMessage | J
         ) from None
 
 
-def recorded_joints(path: File, arm: Arm) -> PlanMessage:
+def recorded_joints(path: File, arm: Arm) -> Plan:
     """
     Return the tool poses of recorded joint states, with twists if they have velocities.
 
@@ -86,23 +282,21 @@ def recorded_joints(path: File, arm: Arm) -> PlanMessage:
 
     """
     messages = [message for _, _, message in bags.messages_of(path, (STATES,))]
-    useful = [m for m in messages if set(arm.moving) <= set(m.name)
-              and len(m.position) == len(m.name)]
-    if not useful:
-        heard = messages[0].name if messages else ()
-        arm.columns(heard, f"Joint states in '{path}'")
+    names = next((m.name for m in messages if set(arm.moving) <= set(m.name)),
+                 messages[0].name if messages else ())
+    columns = arm.columns(names, f"Joint states in '{path}'")
+    states = {ns_of(m.header.stamp): m for m in reversed(messages)  # the first of equal stamps
+              if m.name == names and len(m.position) == len(names)}
+    if not states:
         raise BellowsError(f"Joint states in '{path}' have no positions. Record them.")
-    columns = [arm.columns(m.name, 'A joint state') for m in useful]
-    position = np.array([m.position[c] for m, c in zip(useful, columns, strict=True)])
-    rates = all(len(m.velocity) == len(m.name) for m in useful)
-    velocity = np.array([m.velocity[c] for m, c in zip(useful, columns, strict=True)]) if (
-        rates) else None
-    T, twist = arm.tool(position, velocity)
+    stamps = np.array(sorted(states))
+    useful = [states[stamp] for stamp in stamps.tolist()]
+    velocity = np.array([m.velocity for m in useful])[:, columns] if all(
+        len(m.velocity) == len(names) for m in useful) else None
+    T, twist = arm.tool(np.array([m.position for m in useful])[:, columns], velocity)
     poses = np.hstack([T[:, :3, 3], lie.rotation_to_quaternion(T[:, :3, :3])])
-    stamps, first = np.unique([ns_of(m.header.stamp) for m in useful], return_index=True)
-    return PlanMessage(
-        int(stamps[0]), arm.root, ('tool',), stamps - stamps[0], poses[first],
-        twist[first] if rates else None)
+    return Plan(MULTI_DOF, int(stamps[0]), arm.root, ('tool',), stamps - stamps[0], poses,
+                None if velocity is None else twist)
 
 
 def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
@@ -116,21 +310,12 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
 
     """
     if not tool_link:
-        raise NoArmError(
+        raise BellowsError(
             'The input has joint positions, but not the link of the tool tip. Set tool_link.')
     if urdf:
         return read_arm(read_text(urdf, 2**26, 'URDF'), tool_link)
-    if recording:
-        for topic, _, message in bags.messages_of(recording, (DESCRIPTION,)):
-            if topic.endswith('robot_description'):
-                return read_arm(message.data, tool_link)
-    raise NoArmError(
+    for topic, _, message in bags.messages_of(recording, (DESCRIPTION,)) if recording else ():
+        if topic.endswith('robot_description'):
+            return read_arm(message.data, tool_link)
+    raise BellowsError(
         'Joints are given, and the arm is not: there is no /robot_description. Give its urdf.')
-
-
-def read_yaml(path: File) -> Mapping[str, Any]:
-    """Return the content of a YAML file."""
-    content = safe_yaml.load(Path(path))
-    if not isinstance(content, Mapping):
-        raise BellowsError(f"'{path}' holds no names and values, so no plan.")
-    return content

@@ -5,12 +5,11 @@ TUM has a pose per line, `time x y z qx qy qz qw`, in s and m, separated by blan
 Motive has a row of settings, alternately name and value; rows for Type, Name and quantity; the row
 of axes, which begins with Frame and Time; then a row per frame. A pose is omitted if its cells are
 blank, or if fewer markers of its body are visible than a rigid body needs. A marker is visible if
-its quality is at least 0.99 (appendix H); in an export without qualities, if its measured position
-is not blank.
+its quality is at least `MIN_QUALITY`; in an export without qualities, if its measured position is
+not blank.
 """
 
 from array import array
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 import csv
@@ -36,8 +35,8 @@ SETTINGS: Mapping[str, Mapping[str, float]] = {
 START = re.compile(r'(\d{4}-\d\d-\d\d) (\d+)[.:](\d+)[.:](\d+[.,]?\d*) ?([AP]?)', re.IGNORECASE)
 """Start of a capture, in the forms of several languages of Windows."""
 POSE = [f'Position {axis}' for axis in 'XYZ'] + [f'Rotation {axis}' for axis in 'XYZW']
-Columns = Mapping[tuple[str, str, str], list[int]]
-"""Columns by type, body and quantity."""
+MIN_QUALITY = 0.99
+"""Smallest quality of a visible marker (appendix H)."""
 
 
 class TrackedBody(NamedTuple):
@@ -84,7 +83,7 @@ def is_motive(path: File) -> bool:
     return False
 
 
-def read_motive(path: File, min_markers: int = MIN_MARKERS) -> list[TrackedBody]:
+def read_motive(path: File) -> list[TrackedBody]:
     """
     Return the rigid bodies of an export of Motive, in its world.
 
@@ -93,8 +92,6 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> list[TrackedBody]
     path : path
         CSV file exported with header, global coordinates and quaternions; marker quality is
         optional.
-    min_markers : int
-        Smallest number of visible markers of a pose, if the file states them.
 
     Raises
     ------
@@ -106,49 +103,50 @@ def read_motive(path: File, min_markers: int = MIN_MARKERS) -> list[TrackedBody]
         rows = csv.reader(StringIO(read_text(path, MAX_FILE_BYTES)))
         settings, heads = next(rows, []), dict[str, list[str]]()
         for row in islice(rows, 12):
-            if row[:1] == ['Frame']:
+            heads['Axis' if row[:1] == ['Frame'] else ''.join(row[1:2]) or 'Quantity'] = row
+            if 'Axis' in heads:
                 break
-            heads[row[1] if len(row) > 1 and row[1] else 'Quantity'] = row
-        else:
-            row = []
-        found = _columns(heads, row)
-        needed = sorted({1}.union(*found.values()))  # 1 is the time
-        values = array('d')
-        for cells in rows:
-            if any(cells):
-                values.extend(float(cells[i] or 'nan') for i in needed)
+        found = _columns(*(heads[name] for name in ('Type', 'Name', 'Quantity', 'Axis')))
+        needed = sorted({1}.union(*(pose + markers for pose, markers, _ in found.values())))
+        values = array('d', (
+            float(cells[i] or 'nan') for cells in rows if any(cells) for i in needed))
     except (csv.Error, LookupError, ValueError) as error:
         raise BellowsError(
             f"'{path}' is no CSV export of Motive with rigid bodies and their header "
             f"({shown(str(error), 80)}). Export it again, with 'Header Information' on.") from None
     scale, start_ns = _settings(path, settings)
     table = dict(zip(needed, np.array(values).reshape(-1, len(needed)).T, strict=True))
-    if not len(table[1]) or not np.all(np.abs(table[1]) < 1e9):  # s
+    if not len(table[1]) or not np.all(np.abs(table[1]) < 1e9):  # column 1 is the time, s
         raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
-    stamps = start_ns + np.rint(table[1] * NS_PER_S).astype(np.int64)
-    names = dict.fromkeys(body for kind, body, _ in found if kind == 'Rigid Body')
-    return [_body(name, found, table, stamps, scale, min_markers) for name in names]
+    stamps, bodies = start_ns + np.rint(table[1] * NS_PER_S).astype(np.int64), []
+    for name, (pose, markers, least) in found.items():
+        poses = np.column_stack([table[i] for i in pose]) * [*3 * [scale], *4 * [1.0]]
+        present = np.isfinite(poses).all(axis=1)
+        visible = np.sum([table[i] >= least for i in markers], axis=0)
+        few = present & (len(markers) >= MIN_MARKERS) & (visible < MIN_MARKERS)
+        left_out = {'not tracked': int(np.sum(~present)), 'too few markers': int(np.sum(few))}
+        bodies.append(TrackedBody(name, stamps[present & ~few], poses[present & ~few], {
+            reason: count for reason, count in left_out.items() if count}))
+    return bodies
 
 
-def _columns(heads: Mapping[str, Sequence[str]], axes: Sequence[str]) -> Columns:
-    """Return the columns of poses, marker qualities and marker positions of each body."""
-    columns = list(zip(heads['Type'], heads['Name'], heads['Quantity'], axes, strict=True))
-    names = {name for kind, name, *_ in columns if kind == 'Rigid Body'}
-    found = defaultdict[tuple[str, str, str], list[int]](list)
+def _columns(*heads: Sequence[str]) -> dict[str, tuple[list[int], list[int], float]]:
+    """Return the columns of each body's pose and markers, and the least value of a visible one."""
+    columns = list(zip(*heads, strict=True))
+    names = dict.fromkeys(name for kind, name, *_ in columns if kind == 'Rigid Body')
+    if not names:
+        raise ValueError('there are no rigid bodies')
+    found = dict[tuple[str, str, str], list[int]]()
     for number, (kind, owner, quantity, axis) in enumerate(columns):
         # The name of a marker (BODY:Marker1, BODY_1) begins with the name of its body.
         body = owner if kind == 'Rigid Body' else max(
             (n for n in names if owner.startswith((f'{n}:', f'{n}_'))), key=len, default='')
-        what = f'{quantity} {axis}'.strip()
-        if body and (kind == 'Rigid Body' and what in POSE or what == 'Marker Quality'
-                     or (kind, what) == ('Marker', 'Position X')):
-            found[kind, body, what].append(number)
-    if lacking := [f'{n}: {column}' for n in names for column in POSE
-                   if ('Rigid Body', n, column) not in found]:
-        raise ValueError(f'the column {lacking[0]} is missing')
-    if not names:
-        raise ValueError('there are no rigid bodies')
-    return found
+        found.setdefault((kind, body, f'{quantity} {axis}'.strip()), []).append(number)
+    qualities = {name: found.get(('Rigid Body Marker', name, 'Marker Quality')) for name in names}
+    return {name: (
+        [found['Rigid Body', name, column][0] for column in POSE],
+        qualities[name] or found.get(('Marker', name, 'Position X'), []),
+        MIN_QUALITY if qualities[name] else -np.inf) for name in names}
 
 
 def _settings(path: File, row: Sequence[str]) -> tuple[float, int]:
@@ -160,33 +158,11 @@ def _settings(path: File, row: Sequence[str]) -> tuple[float, int]:
             raise BellowsError(
                 f"'{path}' has {name} '{value}'; expected {' or '.join(accepted)}. Export it "
                 'again with this setting.')
-    unit = SETTINGS['Length Units'][about['Length Units']]
-    with suppress(ValueError):
-        if start := START.match(about.get('Capture Start Time', '').strip()):
-            day, hour, minute, second, half = start.groups()
-            hours = int(hour) % 12 + 12 * (half.upper() == 'P') if half else int(hour)
-            minutes = int(np.datetime64(day, 'm').astype(int)) + 60 * hours + int(minute)
-            return unit, (60 * minutes) * NS_PER_S + int(
-                Decimal(second.replace(',', '.')) * NS_PER_S)
-    return unit, NS_PER_S
-
-
-def _body(
-    name: str, found: Columns, table: Mapping[int, Array], stamps: Stamps, scale: float,
-    min_markers: int,
-) -> TrackedBody:
-    """Return the usable poses of a body."""
-    pose = np.column_stack([table[found['Rigid Body', name, column][0]] for column in POSE])
-    present, enough = np.isfinite(pose).all(axis=1), np.ones(len(pose), bool)
-    qualities = found.get(('Rigid Body Marker', name, 'Marker Quality'), [])
-    positions = found.get(('Marker', name, 'Position X'), [])
-    if qualities:
-        enough = np.sum([table[i] >= 0.99 for i in qualities], axis=0) >= min_markers  # appendix H
-    elif len(positions) >= MIN_MARKERS:
-        enough = np.sum([np.isfinite(table[i]) for i in positions], axis=0) >= min_markers
-    left_out = {'not tracked': int(np.sum(~present)),
-                'too few markers': int(np.sum(present & ~enough))}
-    usable = present & enough
-    return TrackedBody(
-        name, stamps[usable], pose[usable] * [*3 * [scale], *4 * [1.0]],
-        {reason: count for reason, count in left_out.items() if count})
+    start_ns = NS_PER_S
+    if start := START.match(about.get('Capture Start Time', '').strip()):
+        day, hour, minute, second, half = start.groups()
+        hours = int(hour) % 12 + 12 * (half.upper() == 'P') if half else int(hour)
+        with suppress(ValueError):
+            start_ns = int(np.datetime64(
+                f'{day}T{hours:02}:{minute:0>2}:{second.replace(",", "."):0>2}', 'ns').astype(int))
+    return SETTINGS['Length Units'][about['Length Units']], start_ns

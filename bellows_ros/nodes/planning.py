@@ -26,8 +26,8 @@ from ..core.planning.points import joint_excess, Joints, plan_of, plan_of_joints
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import at_tip, from_tip, same_frame, Trajectory
 from ..errors import BellowsError
-from ..files import messages, plan_messages
-from ..files.plan_messages import JointPlan, PlanMessage
+from ..files import messages, plans
+from ..files.plans import Plan
 from ..report.findings import warnings
 from ..report.health import fact, number, Status
 
@@ -40,7 +40,7 @@ ANGLES = ('peak_bending', 'swing_left')
 MAX_STEERED_DURATION = 60.0
 """Longest motion that is steered live, s; longer ones would delay the next answer."""
 
-Read = Callable[[bytes], tuple[PlanMessage | JointPlan, Trajectory, Joints | None]]
+Read = Callable[[bytes], tuple[Plan, Trajectory, Joints | None]]
 """Reader of a message, of the bytes, as rclpy would decode them in the thread of the executor: the
 plan, its motion of E, and the joints of a plan of joints."""
 
@@ -127,21 +127,18 @@ class Planning:
             self._pipeline.live.model, self._pipeline.load.grip, tool, tail=tail,
             stop=stop).predict()
 
-    def _publish(
-        self, plan: PlanMessage | JointPlan, tool: Trajectory, prediction: PlanPrediction
-    ) -> None:
+    def _publish(self, plan: Plan, tool: Trajectory, prediction: PlanPrediction) -> None:
         """Publish the package along a plan."""
         values, states = self._pipeline.values, prediction.states
         frame = self._pipeline.live.frame_id or plan.frame_id
         motion = Trajectory(tool.stamps_ns, states[:, :3], quaternion_to_rotation(states[:, 3:7]),
                             states[:, 7:])
-        message = plan_messages.plan_message(
+        package = plans.plan_of_motion(
             motion, plan.stamp_ns, frame, messages.PACKAGE_FRAME, values.tool_twist.frame)
         if self._plan_out.subscribed:
-            self._plan_out.publish(plan_messages.encode_multi_dof(message))
+            self._plan_out.publish(plans.encode(package))
         if self._path_out.subscribed:
-            self._path_out.publish(plan_messages.encode_path(
-                plan.stamp_ns, frame, message.times_ns, message.poses))
+            self._path_out.publish(plans.encode(package._replace(kind=plans.PATH)))
 
     @property
     def status(self) -> Status | None:
@@ -165,20 +162,20 @@ class Planning:
 
     # ---------------------------------------------------------------- reading
 
-    def _of_tool(self, data: bytes) -> tuple[PlanMessage, Trajectory, None]:
+    def _of_tool(self, data: bytes) -> tuple[Plan, Trajectory, None]:
         """Return a plan of the tool, and its motion of E."""
         values = self._pipeline.values
-        message = plan_messages.multi_dof(messages.decoded(data, plan_messages.MULTI_DOF))
+        message, = plans.plans_of(messages.decoded(data, plans.MULTI_DOF))
         self._require_frame(message.frame_id)
         self._pipeline.node.note_frame(
             message.frame_id, 'tool_arm/plan', 'its frame is that of the tool poses')
-        plan = plan_of(message.times_ns, message.poses, message.twists,
+        plan = plan_of(message.times_ns, message.points, message.rates,
                        values.tool_twist.frame)
         motion = plan if isinstance(plan, Trajectory) else plan.trajectory()
         tip = tip_of(values)
         return message, motion if tip is None else at_tip(motion, tip), None
 
-    def _of_joints(self, data: bytes) -> tuple[JointPlan, Trajectory, Joints]:
+    def _of_joints(self, data: bytes) -> tuple[Plan, Trajectory, Joints]:
         """Return a plan of joints, the motion of E by it, and its joints."""
         values = self._pipeline.values
         if not (self._urdf and values.tool_link):
@@ -188,12 +185,12 @@ class Planning:
                 'and set tool_link to the link at the tool tip.')
         arm: Arm = read_arm(self._urdf, values.tool_link).with_tip(tip_of(values))
         self._require_frame(arm.root)
-        plan = plan_messages.joint_plan(messages.decoded(data, plan_messages.JOINTS))
-        return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[4:])
+        plan, = plans.plans_of(messages.decoded(data, plans.JOINTS))
+        return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[5:])
 
     def _require_frame(self, frame_id: str) -> None:
         """Raise for a plan in another frame than the tool's poses."""
-        plan_messages.require_frame(frame_id, self._pipeline.values)
+        plans.require_frame(frame_id, self._pipeline.values)
         frame = self._pipeline.live.frame_id
         if not same_frame(frame, frame_id):
             raise BellowsError(
@@ -216,16 +213,14 @@ class Planning:
                 f'of {math.degrees(found.residual):.2g} degrees.', throttle_duration_sec=1.0)
         return found.tool
 
-    def _steer_tool(self, plan: PlanMessage | JointPlan, tool: Trajectory) -> None:
+    def _steer_tool(self, plan: Plan, tool: Trajectory) -> None:
         """Publish a motion of the tool without swing."""
         values = self._pipeline.values
-        self._steered.publish(plan_messages.encode_multi_dof(plan_messages.plan_message(
+        self._steered.publish(plans.encode(plans.plan_of_motion(
             from_tip(self._steer(tool), tip_of(values)), plan.stamp_ns, plan.frame_id, 'tool',
             values.tool_twist.frame)))
 
-    def _steer_joints(
-        self, plan: PlanMessage | JointPlan, tool: Trajectory, joints: Joints
-    ) -> None:
+    def _steer_joints(self, plan: Plan, tool: Trajectory, joints: Joints) -> None:
         """Publish a motion of the same joints without swing."""
         path = joints.along(self._steer(tool), tool)
         factor, limit = joint_excess(joints.arm, path, math.inf)
@@ -233,5 +228,5 @@ class Planning:
             raise BellowsError(
                 f'Steered, it exceeds the limit {limit}; expected {factor:.4g} times its '
                 'duration. Slow the plan down.')
-        self._steered_joints.publish(plan_messages.encode_joints(
-            plan.stamp_ns, plan.frame_id, joints.arm.moving, path))
+        self._steered_joints.publish(plans.encode(plans.plan_of_path(
+            plan.stamp_ns, plan.frame_id, joints.arm.moving, path)))

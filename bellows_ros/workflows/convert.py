@@ -42,7 +42,7 @@ class Conversion(NamedTuple):
 
 def convert(
     sources: Sequence[File], out: File, names: Sequence[str] = (),
-    min_markers: int = trajectory_files.MIN_MARKERS, storage: str = 'mcap', replace: bool = False,
+    storage: str = 'mcap', replace: bool = False,
 ) -> Conversion:
     """
     Write the bodies in trajectory files as a recording.
@@ -55,8 +55,6 @@ def convert(
         Folder to make.
     names : sequence of str
         Topics, in the order of files and bodies; default: '/NAME/pose'.
-    min_markers : int
-        Smallest number of visible markers of a pose from Motive.
     storage : {'mcap', 'sqlite3'}
         Storage of the recording.
     replace : bool
@@ -72,7 +70,7 @@ def convert(
     worlds = ['motive_y_up' if trajectory_files.is_motive(source) else 'z_up'
               for source in sources]
     found = [(body, source, world) for source, world in zip(sources, worlds, strict=True)
-             for body in _bodies(Path(source), world, min_markers)]
+             for body in _bodies(Path(source), world)]
     topics = [bags.absolute(name) for name in names] or [_topic(b.name) for b, *_ in found]
     if not len(set(topics)) == len(topics) == len(found):
         raise BellowsError(
@@ -87,7 +85,7 @@ def convert(
     if not any(len(body.stamps_ns) for body, *_ in found):
         raise BellowsError('No pose can be used: ' + '; '.join(
             f"'{source}' ({body.name}): {body.left_out}" for body, source, _ in found)
-            + '. Lower --markers, or track the bodies again.')
+            + '. Track the bodies again.')
     bags.write_bag(out, [
         bags.as_messages(topic, POSE, body.stamps_ns, body.values,
                          'motive' if world == 'motive_y_up' else 'world')
@@ -98,10 +96,10 @@ def convert(
     return Conversion(os.fspath(out), bodies, min(worlds), tuple(notes))
 
 
-def _bodies(source: Path, world: str, min_markers: int) -> list[TrackedBody]:
+def _bodies(source: Path, world: str) -> list[TrackedBody]:
     """Return the bodies in a file, without poses that are not finite or repeat a time."""
     if world == 'motive_y_up':
-        return trajectory_files.read_motive(source, min_markers)
+        return trajectory_files.read_motive(source)
     stamps, values = trajectory_files.read_tum(source)
     finite: Mask = np.asarray(np.isfinite(values).all(axis=1))
     stamps, values = stamps[finite], values[finite]

@@ -45,7 +45,7 @@ from bellows_ros.core.signals import resampling, savgol, trajectory
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, Trajectory
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
 from bellows_ros.errors import BellowsError, require_types, UnstableError
-from bellows_ros.files import bags, File, plan_messages, plans, results, safe_yaml
+from bellows_ros.files import bags, File, plans, results, safe_yaml
 from bellows_ros.files.messages import PACKAGE_FRAME, POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
 from bellows_ros.report.findings import entry, text
@@ -624,7 +624,7 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
 
     """
     source = _read_plan(Path(path), values, urdf, topic)
-    plan_messages.require_frame(source.frame_id, values)
+    plans.require_frame(source.frame_id, values)
     stamps = source.tool.stamps_ns
     chosen, _ = recordings.interval_masks(
         [stamps, stamps if source.recorded_ns is None else source.recorded_ns], values)
@@ -656,8 +656,8 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
         tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
         return Source(at_tip(tool, conversion.tip_of(values)), '')
     if kind in YAML:
-        content = plans.read_yaml(file)
-        if 'kind' in content:
+        content = safe_yaml.load(file)
+        if isinstance(content, Mapping) and 'kind' in content:
             return _source_of_motion(content, values)
         read = [('', each) for each in plans.plans_in_yaml(content, os.fspath(file))]
     else:
@@ -672,17 +672,15 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
 
 
 def _source_of_plan(
-    read: plan_messages.PlanMessage | plan_messages.JointPlan, values: Values, urdf: str,
-    recording: Any,
+    read: plans.Plan, values: Values, urdf: str, recording: Any,
 ) -> Source:
     """Return a plan of points of the tool or of an arm's joints."""
     stamps = read.times_ns + (read.stamp_ns or START_NS)
-    if isinstance(read, plan_messages.JointPlan):
+    if read.kind == plans.JOINTS:
         arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(conversion.tip_of(values))
-        tool, joints = plan_of_joints(arm, read.names, stamps, *read[4:])
+        tool, joints = plan_of_joints(arm, read.names, stamps, *read[5:])
         return Source(tool, arm.root, joints=joints)
-    tool = plan_of(stamps, read.poses, read.twists,
-                   values.tool_twist.frame).trajectory()
+    tool = plan_of(stamps, read.points, read.rates, values.tool_twist.frame).trajectory()
     return Source(at_tip(tool, conversion.tip_of(values)), read.frame_id)
 
 
@@ -721,10 +719,10 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
                 f'{problem} A plan is a message of type {", ".join(plans.PLAN_TYPES)}; or poses '
                 'of the tool are recorded, or joint states with tool_link.')
         read = plans.recorded_joints(path, plans.arm_of(urdf, values.tool_link, path))
-        rates, twists = read.twists, None
+        rates, twists = read.rates, None
         poses = PoseStream(
-            'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.poses[:, :3],
-            quaternion_to_rotation(read.poses[:, 3:]))
+            'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.points[:, :3],
+            quaternion_to_rotation(read.points[:, 3:]))
     motion, given = poses.trajectory(), rates is not None or twists is not None
     if rates is None:
         name = f"Poses '{poses.name}'"
@@ -787,23 +785,19 @@ def write_prediction(
     frame, axes = source.frame_id or 'world', source.values.tool_twist.frame
     stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
     tip = trajectory.from_tip(tool, conversion.tip_of(source.values))
-    plan = plan_messages.plan_message(tip, 0, frame, 'tool', axes)
-    package = plan_messages.plan_message(
+    plan = plans.plan_of_motion(tip, 0, frame, 'tool', axes)
+    package = plans.plan_of_motion(
         simulation.ToolRows(stamps, states).trajectory(), start, frame,
         PACKAGE_FRAME, axes)
-    joints = []
+    written = {'tool_arm/plan': plan, 'package/plan': package,
+               'package/plan_path': package._replace(kind=plans.PATH)}
     if source.joints is not None:
-        motion = source.joints.along(tool, source.tool)
-        joints.append(('/tool_arm/plan_joints', plan_messages.JOINTS, plan_messages.encode_joints(
-            0, frame, source.joints.arm.moving, motion)))
+        written['tool_arm/plan_joints'] = plans.plan_of_path(
+            0, frame, source.joints.arm.moving, source.joints.along(tool, source.tool))
     bags.write_bag(path, [
-        *(bags.Encoded(topic, kind, stamps[:1], [data]) for topic, kind, data in (
-            *joints,
-            ('/tool_arm/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(plan)),
-            ('/package/plan', plan_messages.MULTI_DOF, plan_messages.encode_multi_dof(package)),
-            ('/package/plan_path', plan_messages.PATH,
-             plan_messages.encode_path(start, frame, package.times_ns, package.poses)))),
-        bags.as_messages('/tool_arm/pose', POSE, stamps, plan.poses, frame),
-        bags.as_messages('/tool_arm/twist', TWIST, stamps, np.asarray(plan.twists), frame),
-        bags.as_messages('/package/pose', POSE, stamps, package.poses, frame),
+        *(bags.Encoded(f'/{topic}', each.kind, stamps[:1], [plans.encode(each)])
+          for topic, each in written.items()),
+        bags.as_messages('/tool_arm/pose', POSE, stamps, plan.points, frame),
+        bags.as_messages('/tool_arm/twist', TWIST, stamps, np.asarray(plan.rates), frame),
+        bags.as_messages('/package/pose', POSE, stamps, package.points, frame),
     ], replace=replace_bag)

@@ -1,6 +1,5 @@
 """Plans over DDS: answered from rest, steered if asked, refused when bad; the landing."""
 
-from dataclasses import replace
 import time
 
 from bellows_ros.core.geometry import lie
@@ -9,7 +8,7 @@ from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.points import plan_of, plan_of_joints
 from bellows_ros.core.planning.steering import steer
-from bellows_ros.files.plan_messages import encode_multi_dof, multi_dof, PlanMessage
+from bellows_ros.files.plans import encode, MULTI_DOF, Plan, plans_of
 from bellows_ros.nodes.conversions import vector
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
@@ -39,7 +38,13 @@ JOINTS = np.array(UR5E_START) + np.outer(
 
 def message(move=MOVE, **changes):
     """Return a move as a message."""
-    return replace(PlanMessage(0, 'world', ('tool',), *move.points(500)), **changes)
+    return Plan(MULTI_DOF, 0, 'world', ('tool',), *move.points(500))._replace(**changes)
+
+
+def only_plan(received):
+    """Return the plan in a message."""
+    found, = plans_of(received)
+    return found
 
 
 def joint_plan(position=JOINTS, names=ARM.moving):
@@ -69,9 +74,9 @@ class Planner:
         """Connect all topics of plans."""
         self.partner, self.wait = partner, partner.wait
         plan, hears = MultiDOFJointTrajectory, partner.hears
-        self.plans = hears(plan, 'package/plan', decode=multi_dof)
+        self.plans = hears(plan, 'package/plan', decode=only_plan)
         self.paths = hears(Path, 'package/plan_path')
-        self.steered = hears(plan, 'tool_arm/steered', decode=multi_dof)
+        self.steered = hears(plan, 'tool_arm/steered', decode=only_plan)
         self.steered_joints = hears(JointTrajectory, 'tool_arm/steered_joints')
         self.health = hears(DiagnosticArray, '/diagnostics')
         self.plan_out = partner.writes(plan, 'tool_arm/plan')
@@ -87,7 +92,7 @@ class Planner:
 
     def send(self, plan):
         """Send a plan of the tool."""
-        self.plan_out.publish(encode_multi_dof(plan))
+        self.plan_out.publish(encode(plan))
 
     def is_idle(self):
         """Tell whether nothing is being answered."""
@@ -112,10 +117,10 @@ def test_a_plan_is_answered_from_rest_and_steered(planner):
     (found,), (path,), (steered,) = planner.plans, planner.paths, planner.steered
     truth = PlanSimulation(MODEL, GRIP, MOVE.plan(500)).predict()
     assert found.names == ('package',) and len(path.poses) == len(found.times_ns) == 501
-    assert_allclose(found.poses[:, :3], truth.states[:, :3], atol=0.2e-6)
-    assert_allclose(found.twists, truth.states[:, 7:], atol=1e-4)
+    assert_allclose(found.points[:, :3], truth.states[:, :3], atol=0.2e-6)
+    assert_allclose(found.rates, truth.states[:, 7:], atol=1e-4)
     assert_allclose(vector(path.poses[-1].pose.position), truth.states[-1, :3], atol=0.2e-6)
-    assert residual_swing(steered.times_ns, steered.poses, steered.twists) < 0.1
+    assert residual_swing(steered.times_ns, steered.points, steered.rates) < 0.1
     assert_allclose(float(planner.status().values['smallest_safety_factor']),
                     truth.smallest_safety[0], rtol=1e-3)
     planner.wait(lambda: any(
@@ -133,13 +138,13 @@ def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
     planner = Planner(make_partner(
         VALUES.replaced({'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'})))
     plan = message()
-    of_flange = message(twists=None, poses=in_frame(plan.poses, np.linalg.inv(T_flange_E)))
+    of_flange = message(rates=None, points=in_frame(plan.points, np.linalg.inv(T_flange_E)))
     truth = PlanSimulation(MODEL, GRIP, MOVE.plan(500)).predict()
     planner.send(of_flange)
     planner.wait(lambda: planner.plans and planner.steered)
-    assert_allclose(planner.plans[0].poses[:, :3], truth.states[:, :3], atol=2e-6)
-    poses = in_frame(planner.steered[0].poses, T_flange_E)
-    assert_allclose(poses[0], plan.poses[0], atol=1e-6)
+    assert_allclose(planner.plans[0].points[:, :3], truth.states[:, :3], atol=2e-6)
+    poses = in_frame(planner.steered[0].points, T_flange_E)
+    assert_allclose(poses[0], plan.points[0], atol=1e-6)
     assert residual_swing(planner.steered[0].times_ns, poses) < 0.1
 
 
@@ -163,9 +168,9 @@ def test_a_plan_of_joints_is_answered_and_steered_in_them(planner):
 
 @pytest.mark.parametrize(('bad', 'named'), [
     (message(frame_id='elsewhere'), "'elsewhere'"),
-    (message(poses=np.full((501, 7), np.nan)), 'NaN'),
-    (message(times_ns=np.array([0, 61 * 10**9]), poses=np.eye(1, 7, 6).repeat(2, 0),
-             twists=np.zeros((2, 6))), '61 s'),
+    (message(points=np.full((501, 7), np.nan)), 'NaN'),
+    (message(times_ns=np.array([0, 61 * 10**9]), points=np.eye(1, 7, 6).repeat(2, 0),
+             rates=np.zeros((2, 6))), '61 s'),
     (joint_plan(names=('a', 'b', 'c', 'd', 'e', 'f')), 'shoulder_pan'),
     (joint_plan(np.full((81, 6), np.nan)), 'nan'),
 ], ids=['frame', 'NaN', 'too long to steer', 'joint names', 'NaN joints'])
@@ -176,7 +181,7 @@ def test_a_bad_plan_is_rejected_and_the_next_is_answered(planner, bad, named):
     if isinstance(bad, JointTrajectory):
         planner.joints_out.publish(bad)
     else:
-        planner.plan_out.publish(encode_multi_dof(bad))
+        planner.plan_out.publish(encode(bad))
     planner.wait(lambda: (status := planner.planning.status) and status.level)
     assert planner.status().level == 1 and named.lower() in planner.status().message.lower()
     assert not planner.steered and not planner.steered_joints
@@ -199,8 +204,8 @@ def test_a_newer_plan_replaces_one_that_takes_long(planner):
     """Stop what is not wanted any more: for a newer plan, for the end of the active state."""
     predictor = planner.partner.predictor
     times = np.arange(0, 600 * 10**9 + 1, 10 * MS)
-    long = message(times_ns=times, poses=np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (len(times), 1)),
-                   twists=np.zeros((len(times), 6)))
+    long = message(times_ns=times, points=np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (len(times), 1)),
+                   rates=np.zeros((len(times), 6)))
     for _ in range(3):
         planner.send(long)
     planner.send(message())

@@ -1,6 +1,5 @@
 """Plans in every form they come in, what is said of them, and bad ones refused."""
 
-from dataclasses import replace
 import json
 import math
 
@@ -11,15 +10,7 @@ from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import as_messages, Encoded, write_bag
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.plan_messages import (
-    encode_multi_dof,
-    encode_path,
-    JOINTS,
-    MULTI_DOF,
-    PATH,
-    PlanMessage,
-)
-from bellows_ros.files.plans import DESCRIPTION, STATES
+from bellows_ros.files.plans import DESCRIPTION, encode, JOINTS, MULTI_DOF, PATH, Plan, STATES
 from bellows_ros.workflows.plan import plan, plan_with_cup, read_plan
 from bellows_ros.workflows.replay import replay
 import numpy as np
@@ -51,7 +42,7 @@ def samples(rate_hz=250):
 def message(**changes):
     """Return the move as a message."""
     times, poses, twists = samples()
-    return replace(PlanMessage(0, 'base', ('tool',), times, poses, twists), **changes)
+    return Plan(MULTI_DOF, 0, 'base', ('tool',), times, poses, twists)._replace(**changes)
 
 
 def bag_of(path, kind, data, topic='/plan'):
@@ -68,7 +59,7 @@ def figures(path, **options):
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):
     """Give a recording of the move as a MultiDOFJointTrajectory."""
-    return bag_of(tmp_path_factory.mktemp('move') / 'bag', MULTI_DOF, encode_multi_dof(message()))
+    return bag_of(tmp_path_factory.mktemp('move') / 'bag', MULTI_DOF, encode(message()))
 
 
 @pytest.fixture(scope='module')
@@ -188,7 +179,7 @@ def test_a_part_of_a_plan_is_taken(tmp_path):
     """Count from the first pose recorded, also where the filter needs some before its first."""
     times, poses, _ = samples()
     write_bag(tmp_path / 'poses', [as_messages('/tool_arm/pose', POSE, T0 + times, poses, 'base')])
-    plan_bag = bag_of(tmp_path / 'plan', MULTI_DOF, encode_multi_dof(message(stamp_ns=T0)))
+    plan_bag = bag_of(tmp_path / 'plan', MULTI_DOF, encode(message(stamp_ns=T0)))
     values = resolve(VALUES.replaced({'topics.tool_twist': ''}), ())
     for path in (tmp_path / 'poses', plan_bag):
         whole = read_plan(path, values).tool
@@ -213,8 +204,8 @@ def test_fastest_and_curves(bag, tmp_path):
     with pytest.raises(BellowsError, match=r'cup\.lip_radius.*vacuum\.holding'):
         plan(bag, VALUES.replaced({'cup.lip_radius': 0.0}), seek_fastest=True)
     half = message(**{name: getattr(message(), name)[:80]
-                      for name in ('times_ns', 'poses', 'twists')})
-    thrown = bag_of(tmp_path / 'half', MULTI_DOF, encode_multi_dof(half))
+                      for name in ('times_ns', 'points', 'rates')})
+    thrown = bag_of(tmp_path / 'half', MULTI_DOF, encode(half))
     found = figures(thrown)
     assert found['swing_left'] is None and 'ends in motion' in ' '.join(found['warnings'])
 
@@ -230,7 +221,7 @@ def test_each_move_has_its_least_safety_factor(tmp_path):
     poses[:, 0], poses[:, 6] = x, 1.0
     twists = np.pad(np.gradient(x, t)[:, None], ((0, 0), (0, 5)))
     times = np.round(1e9 * t).astype(np.int64)
-    data = encode_multi_dof(message(times_ns=times, poses=poses, twists=twists))
+    data = encode(message(times_ns=times, points=poses, rates=twists))
     found = plan(bag_of(tmp_path / 'bag', MULTI_DOF, data), VALUES)
     assert_allclose([each.begin for each in found.moves], 3.0 * np.arange(10), atol=0.2)
     factors = [each.smallest_safety_factor for each in found.moves]
@@ -260,7 +251,7 @@ def test_lost_grip_and_unknown_grip_are_reported(bag):
 
 
 def test_what_is_no_plan_is_refused(tmp_path):
-    for content, found in (({'a': 1}, "'points'"), ([1], 'names and values'), (
+    for content, found in (({'a': 1}, "'points'"), ([1], 'points'), (
             {**plan_messages()['multi'], 'joint_names': [5]}, '5 as name')):
         (tmp_path / 'no.yaml').write_text(json.dumps(content))
         with pytest.raises(BellowsError, match=rf"no\.yaml' holds no .*{found}"):
@@ -268,7 +259,7 @@ def test_what_is_no_plan_is_refused(tmp_path):
     with pytest.raises(BellowsError):
         plan(tmp_path / 'missing', {})  # said before the package's data are asked for
     times, poses, _ = samples()
-    poses_of = encode_path(T0, 'base', times, poses)
+    poses_of = encode(message(kind=PATH, stamp_ns=T0, times_ns=times, points=poses))
     elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
     with pytest.raises(BellowsError, match="'else'.*'base'"):
         figures(bag_of(tmp_path / 'frames', PATH, elsewhere))
@@ -294,8 +285,8 @@ def test_a_plan_that_begins_in_motion_is_reported_and_starts_in_motion(tmp_path)
     poses = np.zeros((200, 7))
     poses[:, 0], poses[:, 6] = 0.5 * at + 1.5 * at**2, 1.0
     twists = np.pad((0.5 + 3.0 * at)[:, None], ((0, 0), (0, 5)))
-    content = message(times_ns=times, poses=poses, twists=twists)
-    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(content))
+    content = message(times_ns=times, points=poses, rates=twists)
+    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode(content))
     found = figures(bag)
     assert any('begins and ends in motion' in warning for warning in found['warnings'])
     assert_allclose(found['peak_force'], 1.8 * math.hypot(3.0, 9.81), rtol=1e-3)
@@ -304,7 +295,7 @@ def test_a_plan_that_begins_in_motion_is_reported_and_starts_in_motion(tmp_path)
 
 
 def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path):
-    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode_multi_dof(message(frame_id='tool0')))
+    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode(message(frame_id='tool0')))
     with pytest.raises(BellowsError, match="'tool0'"):
         figures(bag)
 
