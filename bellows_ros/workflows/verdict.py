@@ -1,9 +1,10 @@
 """Quality of a cup, causes of a misfit, and the acceptance of the cup."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 import math
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -247,50 +248,46 @@ def verdict_of(
         Parameters by name.
 
     """
-    tested = recordings[:MAX_TESTED]
-    faults, sensors = (tuple(remark for recording in tested for remark in filter(
-        chosen, recording.report.remarks)) for chosen in (
-            lambda remark: remark.level == Level.ERROR, lambda remark: remark.code == 'sensor'))
-    if not tested:
+    if not (tested := recordings[:MAX_TESTED]):
         return None
-    package = tested[0].payload
+    remarks = [remark for recording in tested for remark in recording.report.remarks]
+    package, ratio, grown = tested[0].payload, 0.0, fit.nuisances.get('length', np.zeros((1, 1)))
     given = values.replaced({
         'package.mass': package.mass, 'package.com': package.com,
         'package.inertia': np.diag(package.inertia)})
-    simulated = values.replaced({'cup.length': length, 'fit.method': 'output_error'})
+    if 'inertia' in fit.nuisances and not {'mass', 'inertia'} & {*fit.named}:
+        ratio = float(  # one of the three moments may be uncertain
+            np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0)))
     verdict = FitVerdict(
-        (), (), given, faults=faults, sensor=sensors[:1])
-    verdict = _judged(verdict, fit, tested, length, values)
-    if faults:
+        tuple(_all_simulated(fit, tested, length + float(grown[0, 0]), given)), (), given,
+        faults=tuple(remark for remark in remarks if remark.level == Level.ERROR),
+        sensor=tuple(remark for remark in remarks if remark.code == 'sensor')[:1],
+        log_inertia_ratio=ratio,
+        found=_found(fit, values, tested[0], length + float(grown[0, 0])))
+    if verdict.faults:
         return verdict
     if fit.method != 'output_error':
         if verdict.simulated and all(
                 (each.rms <= MAX_SOUND_RATIO * each.noise).all() for each in verdict.simulated):
             return verdict  # its causes would not be described
-        fit = fitting.fitted(tested, simulated, exactly=True)
+        fit = fitting.fitted(tested, values.replaced({
+            'cup.length': length, 'fit.method': 'output_error'}), exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(excess=excess, causing=fit.causes)
 
 
-def _judged(
-    verdict: FitVerdict, fit: Fit, tested: Sequence[Recording], length: float, values: Values
-) -> FitVerdict:
-    """Return a verdict with free simulations of recordings, and with the corrections of a fit."""
-    log_inertia_ratio = float(  # one of the three moments may be uncertain
-        np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0))) if (
-        'inertia' in fit.nuisances and not {'mass', 'inertia'} & {*fit.named}) else 0.0
-    length += float(fit.nuisances['length'][0, 0]) if 'length' in fit.nuisances else 0.0
-    structure = given_structure(verdict.given)
+def _all_simulated(
+    fit: Fit, tested: Sequence[Recording], length: float, given: Values
+) -> Iterator[Simulated]:
+    """Yield free simulations of recordings with a usable cup of a length (m)."""
+    structure = given_structure(given)
     cup = gripper_of(replace(
-        one_cup_of(verdict.given), stiffness=fit.stiffness, damping=fit.damping, length=length,
+        one_cup_of(given), stiffness=fit.stiffness, damping=fit.damping, length=length,
         relaxation=fit.relaxation, stretch=fit.stretch), structure.places)
     held = None if fit.held_out is None else _cup_of(fit.held_out, cup, structure)
-    return verdict._replace(
-        simulated=tuple(
-            _simulated(cup, as_found(recording, fit.nuisances, number),
-                       fit.noise_in_motion.get(number), held)
-            for number, recording in enumerate(tested) if fit.usable),
-        log_inertia_ratio=log_inertia_ratio, found=_found(fit, values, tested[0], length))
+    for number, recording in enumerate(tested if fit.usable else ()):
+        yield _simulated(cup, as_found(recording, fit.nuisances, number),
+                         fit.noise_in_motion.get(number), held)
 
 
 def _found(
@@ -302,20 +299,19 @@ def _found(
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
                                     if name not in ('exposure', *fit.named)}
     estimates = estimates_of(recording.payload, free, length)
-    parameters = {name: (FREE_PARAMETERS[name][0], estimates[name])
-                  for name in ('com', 'length', 'inertia')}
-    parameters['clock_rate'] = CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1))
-    pulls = {name: float(np.max(np.abs(free[name]) / std[name]))
-             for name in parameters if name in free and name in std}
-    if max(pulls.values(), default=0.0) <= 0.5:  # standard deviations
+    found = [
+        (float(np.max(np.abs(free[name]) / std[name])), topic, value, f'{size:.2g} {unit}')
+        for name, topic, value, size, unit in (
+            *((name, FREE_PARAMETERS[name][0], estimates[name], 1e3 * np.linalg.norm(
+                free.get(name, 0.0)), 'mm') for name in ('com', 'length')),
+            ('inertia', 'package.inertia', estimates['inertia'], 100.0 * np.max(np.abs(np.expm1(
+                free.get('inertia', 0.0)))), '%'),
+            ('clock_rate', CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1)), 1e6 * np.max(
+                np.abs(free.get('clock_rate', 0.0))), 'ppm')) if name in free and name in std]
+    found.sort(key=itemgetter(0), reverse=True)
+    if not found or found[0][0] <= 0.5:  # standard deviations
         return {}
-    changes = {name: f'{1e3 * np.linalg.norm(free[name]):.2g} mm' for name in pulls}
-    if 'inertia' in pulls:
-        changes['inertia'] = f'{100.0 * np.max(np.abs(np.expm1(free["inertia"]))):.2g} %'
-    if 'clock_rate' in pulls:
-        changes['clock_rate'] = f'{abs(parameters["clock_rate"][1][0]):.2g} ppm'
-    return {parameters[name][0]: (parameters[name][1], changes[name], pulls[name])
-            for name in sorted(pulls, key=pulls.__getitem__, reverse=True)}
+    return {topic: (value, change, pull) for pull, topic, value, change in found}
 
 
 def estimates_of(
@@ -382,30 +378,71 @@ SIDES = {'time_offset': ('earlier', 'later'), 'scale': ('large', 'small'),
          'length_drift': ('shortens', 'lengthens')}
 """Words for a number that is not positive, and for a positive one, by cause."""
 
+CORRECTED: Mapping[str, tuple[str, str, float]] = {
+    'com': ('package.com', 'mm', 1e3), 'length': ('cup.length', 'mm', 1e3),
+    'inertia': ('package.inertia', '%', 1e2),
+    'gravity': ('gravity.direction', 'degrees', math.degrees(1.0))}
+"""Parameter that a cause corrects, with the unit of the correction and its number in SI units."""
+
 Given = Mapping[str, Any]
-Differing = tuple[str, str, str]
-"""Name of a parameter, by how much its given value is wrong, and the value by the recordings."""
 
 
 def cause_finding(cause: Cause, given: Given) -> Finding:
     """Return a cause with its size, its share of the misfit, and given values corrected by it."""
-    is_part = cause.name != 'unknown' and cause.share > 0.0
-    share = f' It explains {100.0 * cause.share:.0f} % of the misfit.' if is_part else ''
-    if cause.name in ('com', 'length') and cause.instead:
-        return Finding('length', Level.WARN, {'offset': abs(float(cause.theta[-1]))})
-    if cause.name in DIFFERING:
-        topic, off, value = DIFFERING[cause.name](cause, given)
-        return Finding('differs', Level.WARN, {'off': off, 'found': value, 'share': share}, topic)
     theta, std = cause.theta.tolist(), cause.std.tolist()
+    name = cause.name.removesuffix('.direction')
+    share = f' It explains {100.0 * cause.share:.0f} % of the misfit.' if (
+        name != 'unknown' and cause.share > 0.0) else ''
+    if name in ('com', 'length') and cause.instead:
+        return Finding('length', Level.WARN, {'offset': abs(theta[-1])})
+    if name == 'package.files':
+        return Finding('differs', Level.WARN, {
+            'off': 'in the other order', 'found': cause.value, 'share': share}, name)
+    if name in CORRECTED:
+        topic, unit, factor = CORRECTED[name]
+        sizes = ', '.join(f'{factor * abs(x):.3g} ± {factor * s:.2g} {unit}' for x, s in zip(
+            theta, std, strict=True) if abs(x) > SIGMAS * s) or 'little'
+        return Finding('differs', Level.WARN, {
+            'off': f'off by {sizes}', 'found': _corrected(cause, given), 'share': share}, topic)
     numbers: dict[str, Any] = {'share': share}
     if theta:
-        numbers |= {'first': theta[0], 'last': theta[-1], 'magnitude': abs(theta[0]),
-                    'size': f'{1e3 * abs(theta[0]):.3f} ± {1e3 * std[0]:.2g} mm',
-                    'side': SIDES.get(cause.name, ('', ''))[theta[0] > 0.0]}
-    if cause.name in MORE:
-        numbers |= MORE[cause.name](cause, given)
-    code = cause.name if cause.name != 'unknown' else 'unknown_cause'
-    return Finding(code, Level.WARN, numbers, given.get('topics.package_pose', ''))
+        numbers |= {
+            'first': theta[0], 'last': theta[-1], 'size': abs(theta[0]), 'std': std[0],
+            'side': SIDES.get(name, ('', ''))[theta[0] > 0.0]}
+    if name == 'exposure':
+        numbers['size'] = body.EXPOSURE * math.sqrt(max(theta[0], 0.0))
+    elif name == 'package_world':
+        numbers['why'] = alignment.motion_words(cause.theta, cause.std)
+    elif name == 'slip':
+        numbers |= {'position': math.hypot(*theta[:2]), 'rotation': 0.0, 'at': theta[-1]}
+    elif name == 'package_marker':
+        shift, angle = map(np.linalg.norm, np.split(cause.theta, [len(theta) - 3]))
+        numbers |= {'shift': float(shift), 'angle': float(angle)}
+    elif name == 'unknown':
+        is_band = bool(np.all(np.isfinite(theta[2:4])))
+        numbers |= {'axis': cause.value, 'second': theta[min(1, len(theta) - 1)], 'band': (
+            ', at {:.1f} to {:.1f} Hz'.format(*theta[2:4]) if is_band else '')}
+    return Finding(name if name != 'unknown' else 'unknown_cause', Level.WARN, numbers,
+                   given.get('topics.package_pose', ''))
+
+
+def _corrected(cause: Cause, given: Given) -> str:
+    """Return a given quantity with the correction by a cause."""
+    topic, *_ = CORRECTED[cause.name.removesuffix('.direction')]
+    if topic == 'package.inertia':
+        before = np.array(given[topic][:3])
+        moments = before * np.exp(cause.theta)
+        order = order_of(before, moments)
+        return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2 (ixx, iyy, izz)' + (
+            order and f'; {order}')
+    if topic == 'gravity.direction':
+        doubt = '; or a hose or cable pulls at the package' * (cause.instead == 'force')
+        down = lie.exp_so3(np.append(-cause.theta, 0.0)) @ alignment.DOWN
+        return _listed(
+            alignment.levelling(given.get(topic, alignment.DOWN)).T @ down) + doubt
+    sure = np.where(np.abs(cause.theta) > SIGMAS * cause.std, cause.theta, 0.0)
+    value = np.add(given[topic], sure if topic == 'package.com' else cause.theta[0])
+    return _listed(value) if topic == 'package.com' else f'{value:.5f}'
 
 
 def order_of(given: Array, moments: Array) -> str:
@@ -419,80 +456,6 @@ def order_of(given: Array, moments: Array) -> str:
     return f'those of x, y and z seem to be given as those of {axes}'
 
 
-def _inertia(cause: Cause, given: Given) -> Differing:
-    """Return moments of inertia, and their order or their ratio to the mass."""
-    before = np.array(given['package.inertia'][:3])
-    moments = before * np.exp(cause.theta)
-    factor, order = float(np.exp(-cause.theta[0])), order_of(before, moments)
-    off = f'{factor:.3g} ± {factor * cause.std[0]:.2g} times the value that fits package.mass' if (
-        np.ptp(cause.theta) < 3.0 * np.max(cause.std)) else 'wrong'
-    found = f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2 (ixx, iyy, izz)'
-    return 'package.inertia', off, found + (order and f'; {order}')
-
-
-def _com(cause: Cause, given: Given) -> Differing:
-    """Return the significant shift of a centre of mass, and its position."""
-    moved = np.where(np.abs(cause.theta) > 3.0 * cause.std, cause.theta, 0.0)
-    off = ', '.join(f'{axis} {1e3 * x:+.2f} ± {1e3 * s:.2g} mm'
-                    for axis, x, s in zip('xyz', moved, cause.std, strict=True) if x)
-    return 'package.com', f'off by {off}', _listed(np.add(given['package.com'], moved))
-
-
-def _length(cause: Cause, given: Given) -> Differing:
-    """Return a length of the cup."""
-    size, std = float(cause.theta[0]), float(cause.std[0])
-    side = 'short' if size > 0.0 else 'long'
-    return ('cup.length', f'{1e3 * abs(size):.3f} ± {1e3 * std:.2g} mm too {side}',
-            f'{given["cup.length"] + size:.5f}')
-
-
-def _gravity(cause: Cause, given: Given) -> Differing:
-    """Return gravity.direction after a rotation about x and y."""
-    angle = math.degrees(math.hypot(*cause.theta[:2].tolist()))
-    doubt = ', or a hose or cable pulls at the package: these recordings cannot tell which' * (
-        cause.instead == 'force')
-    return 'gravity.direction', f'{angle:.1f} degrees off{doubt}', _down(
-        given, lie.exp_so3(np.append(-cause.theta, 0.0)) @ alignment.DOWN)
-
-
-def _marker(cause: Cause, given: Given) -> dict[str, Any]:
-    """Return the shift and rotation of a marker frame, and the settings that correct it."""
-    shift, angle = map(np.linalg.norm, np.split(cause.theta, [len(cause.theta) - 3]))
-    by_rest = '' if given.get('recording.align_at_rest') else (
-        ", or recording.align_at_rest: true if it is the tool's and the recording begins at rest")
-    return {'shift': float(shift), 'angle': float(angle),
-            'setting': f'fit.free: [package_marker]{by_rest}'}
-
-
-def _down(given: Given, down: Array) -> str:
-    """Return gravity.direction of a direction in the levelled world."""
-    return _listed(
-        alignment.levelling(given.get('gravity.direction', alignment.DOWN)).T @ down)
-
-
 def _listed(values: Array) -> str:
     """Return a list with four decimals."""
     return f'[{", ".join(f"{x:.4f}" for x in np.round(values, 4) + 0.0)}]'
-
-
-DIFFERING: Mapping[str, Callable[[Cause, Given], Differing]] = {
-    'inertia': _inertia, 'com': _com, 'length': _length, 'gravity': _gravity,
-    'gravity.direction': _gravity,
-    'package.files': lambda cause, given: (cause.name, cause.value, 'the other order')}
-"""Causes that are wrong parameters."""
-
-MORE: Mapping[str, Callable[[Cause, Given], dict[str, Any]]] = {
-    'time_offset': lambda cause, given: {
-        'size': f'{1e3 * abs(cause.theta[0]):.3f} ± {1e3 * cause.std[0]:.2g} ms'},
-    'exposure': lambda cause, given: {
-        'time': body.EXPOSURE * math.sqrt(max(float(cause.theta[0]), 0.0))},
-    'package_world': lambda cause, given: {
-        'why': alignment.motion_words(cause.theta, cause.std)},
-    'slip': lambda cause, given: {
-        'position': math.hypot(*cause.theta[:2]), 'rotation': 0.0, 'at': float(cause.theta[-1])},
-    'package_marker': _marker,
-    'unknown': lambda cause, given: {
-        'axis': cause.value, 'second': float(cause.theta[min(1, len(cause.theta) - 1)]),
-        'band': ', at {:.1f} to {:.1f} Hz'.format(*cause.theta[2:4])
-        if np.all(np.isfinite(cause.theta[2:4])) else ''}}
-"""Numbers of other causes."""

@@ -246,7 +246,7 @@ def clocks_apart(recording: Recording) -> Iterator[Finding]:
         yield Finding('clock_shift', Level.ERROR, topic='both')
     elif late:
         yield Finding('time_offset', Level.ERROR, {
-            'late': late, 'size': f'about {abs(late):.2f} s',
+            'late': late, 'size': abs(late),
             'side': 'later' if late > 0.0 else 'earlier'}, 'tool')
 
 
