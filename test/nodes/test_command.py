@@ -77,7 +77,7 @@ def test_numpy_waits_for_the_limit_of_its_threads(user_environment, root):
     (['--ros-args', *GIVEN, '-p', 'cup.stifness:=1.0'], "'cup.stiffness'"),
     (['--ros-args', *GIVEN, '-p', 'cup.stiffness:=[1.0, 2.0]'], 'got 2 of them'),
     (['--ros-args', *GIVEN, '-p', 'cup.length:=long'], 'cup.length'),
-    (['--ros-args', '--params-file', 'nowhere.yaml'], "'nowhere.yaml'"),
+    (['--ros-args', '--params-file', 'nowhere.yaml'], 'nowhere.yaml'),
     (['--ros-args', '--params-file', 'typo.yaml'], '/predicter'),
     (['--ros-args', *GIVEN, '-p', 'use_sim_time:=hello'], 'use_sim_time'),
     (['a\x1b[31mb'], r"'a\x1b[31mb'"), (['package.yaml'], "'package.yaml'"),

@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from .conftest import overrides_of, PACKAGE, Peer, set_on, START
-from .test_planning import encode_multi_dof, message, VALUES
+from .test_planning import encode, message, VALUES
 
 THESIS = Cup.thesis()
 K = (1.1 * THESIS.stiffness).ravel().tolist()
@@ -154,7 +154,7 @@ def test_the_start_refuses_what_the_running_node_refuses(make_partner):
     partner = make_partner(given)
     node, tried = partner.predictor, 0
     pipeline, plan = node.pipeline, deserialize_message(
-        encode_multi_dof(message()), MultiDOFJointTrajectory)
+        encode(message()), MultiDOFJointTrajectory)
     for topic in (*vars(pipeline.outputs).values(), *vars(pipeline.planning).values()):
         if hasattr(topic, 'subscribed'):
             topic.subscribed = True
