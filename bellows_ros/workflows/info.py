@@ -297,7 +297,7 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
         'jitter_s': time.jitter_s,
         'gaps': tuple(((gap.start_ns - start_ns) / NS_PER_S, gap.duration_s) for gap in time.gaps)}
     if isinstance(stream, PoseStream):
-        stream, arrivals = at_sampling(stream)
+        stream, jitter_s = at_sampling(stream)
         time = timing(stream.stamps_ns)
         outliers = find_outliers(stream.trajectory(), time.longest_step_ns)
         moved, turned = (part[outliers.good] for part in (stream.position, stream.rotation))
@@ -310,7 +310,7 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
                 ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
                 if len(x)},
             'remarks': tuple(preparation.remarks_on(
-                recording.StreamReport(stream, time, outliers, arrivals=arrivals)))}
+                recording.StreamReport(stream, time, outliers, arrival_jitter=jitter_s)))}
     return quality
 
 

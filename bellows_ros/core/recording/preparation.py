@@ -82,7 +82,7 @@ def prepare(
     of_tool, _, tool_poses = _clean(tool, settings.R_world_recorded)
     of_package, tracked, package_poses = _clean(
         package, settings.R_world_recorded, settings.tag is not None)
-    if tool_twist is not None and of_tool.arrivals:
+    if tool_twist is not None and of_tool.arrival_jitter:
         tool_twist = replace(tool_twist, stamps_ns=_shifted_alike(
             tool_twist.stamps_ns, tool.stamps_ns, of_tool.recorded.stamps_ns))
     tool, package = of_tool.recorded, of_package.recorded
@@ -162,9 +162,9 @@ def _clean(
     recorded: PoseStream, R_world_recorded: Array, is_tag: bool = False
 ) -> tuple[StreamReport, Trajectory, Trajectory]:
     """Return the faults of a topic, and its marked poses in the world, recorded and uniform."""
-    recorded, arrivals = resampling.at_sampling(recorded)
-    poses = in_world(recorded.trajectory(), R_world_recorded)
     with _naming(recorded.name):
+        recorded, jitter_s = resampling.at_sampling(recorded)
+        poses = in_world(recorded.trajectory(), R_world_recorded)
         timing = resampling.timing(poses.stamps_ns)
         outliers = find_repeats(poses) if is_tag else find_outliers(
             poses, timing.longest_step_ns)
@@ -172,7 +172,7 @@ def _clean(
         good = np.flatnonzero(outliers.good)  # poses outside the recording's time are ignored
         if len(good) > 2:
             marked = marked.select(slice(good[0], good[-1] + 1))
-        return (StreamReport(recorded, timing, outliers, arrivals=arrivals), marked,
+        return (StreamReport(recorded, timing, outliers, arrival_jitter=jitter_s), marked,
                 resampling.on_grid(marked, timing))
 
 
@@ -250,7 +250,7 @@ def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[
 
 def remarks_on(report: StreamReport) -> list[Finding]:
     """Return remarks on the poses of one topic, before or after a fit."""
-    recorded, time, arrivals = report.recorded, report.timing, report.arrivals
+    recorded, time, replaced_s = report.recorded, report.timing, report.arrival_jitter
     topic = recorded.name
     lasting = lasting_steps(report)
     remarks = [Finding('slip', Level.WARN, {
@@ -258,9 +258,9 @@ def remarks_on(report: StreamReport) -> list[Finding]:
         'rotation': max(step.rotation for step in lasting),
         'at': float(recorded.stamps_ns[lasting[0].before] - recorded.stamps_ns[0]) / NS_PER_S},
         topic)] if lasting else []
-    jitter = {'jitter': arrivals.jitter_s if arrivals else time.jitter_s, 'rate': time.rate_hz,
-              'instead': '; uniform times are used instead' * bool(arrivals)}
-    if arrivals:
+    jitter = {'jitter': replaced_s or time.jitter_s, 'rate': time.rate_hz,
+              'instead': '; uniform times are used instead' * bool(replaced_s)}
+    if replaced_s:
         remarks.append(Finding('jitter', Level.WARN, jitter, topic))
     elif _in_bursts(report):
         return [Finding('jitter', Level.ERROR, jitter, topic), *remarks]

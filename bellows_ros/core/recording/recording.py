@@ -373,8 +373,8 @@ class StreamReport:
         Number of filtered samples omitted because their windows contain invalid ones.
     interpolated : int
         Number of lost or marked poses, at most two in succession, interpolated by the filter.
-    arrivals : ArrivalStamps or None
-        Report on times of sampling that replaced recorded stamps, if any.
+    arrival_jitter : float
+        Jitter of times of arrival that times of sampling replaced, s; 0 if none were replaced.
 
     """
 
@@ -383,7 +383,7 @@ class StreamReport:
     outliers: Outliers
     overlapping_gap: int = 0
     interpolated: int = 0
-    arrivals: resampling.ArrivalStamps | None = None
+    arrival_jitter: float = 0.0
 
     @cached_property
     def repeated_stamps(self) -> int:
@@ -418,7 +418,7 @@ class StreamReport:
             'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
             'stamp_resolution_s': self.stamp_resolution,
-            'arrival_stamps_replaced': self.arrivals.replaced if self.arrivals else 0,
+            'arrival_stamps_replaced': len(self.recorded) * (self.arrival_jitter > 0.0),
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
             'interpolated_poses': self.interpolated,

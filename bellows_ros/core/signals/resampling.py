@@ -7,17 +7,18 @@ stay finite, and are invalid.
 
 Poses that arrive over a network in bursts, and are stamped on arrival, have delayed stamps: a
 moving body seems to oscillate. For a sensor that samples uniformly, the delay of each pose follows
-from all stamps. The delays are corrected if the corrected motion is smoother.
+from all stamps. The delays are corrected if the corrected motion is smoother: delays of 1 to 3 ms
+make K from poses at 240 Hz wrong by 7 % and more.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike
+import scipy  # whose parts are loaded as they are used
 
 from .trajectory import checked_stamps, frozen, NS_PER_S, PoseStream, Trajectory
 
@@ -256,60 +257,47 @@ def subdivided(stamps_ns: Stamps, parts: Stamps) -> Stamps:
     return np.asarray(stamps_ns[step] + number * np.diff(stamps_ns)[step] // parts[step])
 
 
-class ArrivalStamps(NamedTuple):
+def at_sampling(stream: PoseStream) -> tuple[PoseStream, float]:
     """
-    Report on stamps that were times of arrival.
+    Return poses with times of sampling instead of times of arrival, and the removed jitter (s).
 
-    Parameters
-    ----------
-    replaced : int
-        Number of replaced stamps.
-    jitter_s, latest_s : float
-        Standard deviation and range of the poses' delays, s.
-    rougher, smoother : array (2,)
-        Deviation (m, rad) of the poses from smooth motion by recorded stamps, and by times of
-        sampling.
-
+    The stamps are kept, with a jitter of 0, unless the poses between two others are then clearly
+    nearer to the interpolated ones.
     """
-
-    replaced: int
-    jitter_s: float
-    latest_s: float
-    rougher: Array
-    smoother: Array
-
-
-def at_sampling(stream: PoseStream) -> tuple[PoseStream, ArrivalStamps | None]:
-    """Return poses with stamps of sampling instead of times of arrival."""
-    if len(stream) < 4 * SAMPLES_BESIDE_GAP:
-        return stream, None
     recorded = timing(stream.stamps_ns)
-    if recorded.jitter_s * recorded.rate_hz < MAX_RELATIVE_JITTER:
-        return stream, None
-    sampled = sampling_stamps(stream.stamps_ns)
+    is_regular = recorded.jitter_s * recorded.rate_hz < MAX_RELATIVE_JITTER
+    sampled = None if is_regular else _sampling_stamps(stream.stamps_ns)
     if sampled is None:
-        return stream, None
-    size = max(round(recorded.rate_hz / 12.0), 8)  # samples of a polynomial
-    before, after = (
-        _deviation(stream, stamps, size) for stamps in (stream.stamps_ns, sampled))
-    # clearly smoother in position and rotation
-    if not np.prod((after / np.maximum(before, 1e-12)) ** 2) < 0.8:
-        return stream, None
-    delay = (stream.stamps_ns - sampled) / NS_PER_S
-    return replace(stream, stamps_ns=sampled), ArrivalStamps(
-        len(delay), float(np.std(delay)), float(np.ptp(delay)), before, after)
+        return stream, 0.0
+    before, after = (_roughness(replace(stream, stamps_ns=stamps).trajectory())
+                     for stamps in (stream.stamps_ns, sampled))
+    if not np.prod(after / np.maximum(before, 1e-12)) ** 2 < 0.8:
+        return stream, 0.0
+    return (replace(stream, stamps_ns=sampled),
+            float(np.std(stream.stamps_ns - sampled)) / NS_PER_S)
 
 
-def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
+def _roughness(poses: Trajectory) -> Array:
+    """Return the median distance (2,) of poses from those interpolated between others, m, rad."""
+    seen = poses.select(slice(1, -1, 2))
+    between = resample(poses.select(slice(None, None, 2)), seen.stamps_ns)
+    return np.array([np.median(np.linalg.norm(part, axis=1)) for part in (
+        seen.position - between.position,
+        lie.log_so3(np.swapaxes(between.rotation, 1, 2) @ seen.rotation))])
+
+
+def _sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
     """
     Return the latest possible times of sampling (ns) from times of arrival; None if unknown.
 
     No sample arrives before its time of sampling, so the uniform times are the line below all
-    arrivals. Lost samples delay all later samples by whole periods, which is corrected. Frequent
-    losses, or jitter of many periods, make the times unknown.
+    arrivals with the least mean distance. Lost samples delay all later samples by whole periods.
+    Frequent losses, or jitter of many periods, make the times unknown.
     """
-    since, number = (stamps_ns - stamps_ns[0]).astype(np.float64), np.arange(len(stamps_ns))
     n = SAMPLES_BESIDE_GAP
+    if len(stamps_ns) < 4 * n:
+        return None
+    since, number = (stamps_ns - stamps_ns[0]).astype(np.float64), np.arange(len(stamps_ns))
     period = float(np.quantile(since[2 * n:] - since[:-2 * n], 0.25)) / (2 * n)
     for _ in range(200):  # gaps
         delay = since - period * number
@@ -320,38 +308,14 @@ def sampling_stamps(stamps_ns: Stamps) -> Stamps | None:
         i = int(np.argmax(steps))
         missing = int((steps[i] - drift) / period + 0.35)  # a loss is assumed from 0.65 periods on
         if missing < 1:
-            sampled = _tangent_below(number, since)
+            basis: Array = np.column_stack([number, np.ones(len(number))])
+            line = scipy.optimize.linprog(
+                -basis.mean(axis=0), basis, since / period, bounds=(None, None))
+            sampled = period * (basis @ np.asarray(line.x, dtype=np.float64))
             return np.asarray(stamps_ns[0] + np.rint(sampled).astype(np.int64))
         before = np.flatnonzero(delay[i:i + 3 * n] < earliest[i] + (missing - 0.1) * period)
         number[i + before[-1] + 1:] += missing
     return None
-
-
-def _tangent_below(x: Array | Stamps, y: Array) -> Array:
-    """Return the line (N,) below all points with the least mean distance to them."""
-    middle, slope = int(np.searchsorted(x, np.mean(x))), (y[-1] - y[0]) / (x[-1] - x[0])
-    ends = -1, -1
-    while True:  # Newton's method: tangent at the lowest point of each half
-        above = y - slope * x
-        new = int(np.argmin(above[:middle])), middle + int(np.argmin(above[middle:]))
-        if new == ends:
-            return np.asarray(slope * x + above[new[0]])
-        ends = new
-        slope = (y[new[1]] - y[new[0]]) / (x[new[1]] - x[new[0]])
-
-
-def _deviation(poses: PoseStream, stamps_ns: Stamps, size: int) -> Array:
-    """Return the median distance of poses from polynomials over short windows, m and rad."""
-    count = len(stamps_ns) // size
-    t, o, R = (part[:count * size].reshape(count, size, *part.shape[1:])
-               for part in ((stamps_ns - stamps_ns[0]).astype(np.float64), poses.position,
-                            poses.rotation))
-    t = (t - t[:, :1]) / (t[:, -1:] - t[:, :1])
-    Q, _ = np.linalg.qr((2.0 * t - 1.0)[:, :, None] ** np.arange(6))
-    moved = np.stack([o - o[:, :1], lie.log_so3(np.swapaxes(R[:, :1], 2, 3) @ R)])
-    residual = moved - Q @ (np.swapaxes(Q, 1, 2) @ moved)
-    squares = np.median(np.sum(residual**2, axis=(2, 3)), axis=1)
-    return np.asarray(np.sqrt(squares / (3 * (size - 6))))
 
 
 def resample(

@@ -117,13 +117,10 @@ def test_stamps_of_arrival_become_those_of_the_sampling(longest_s, size, gaps):
     lost = np.isin(np.arange(2400), [[700, *range(1500, 1560)]]) if gaps else np.zeros(2400, bool)
     stamps = arrived(sampled, longest_s, 1)[~lost]
     stream = PoseStream('/tool', 'world', stamps, *moving(sampled[~lost], 2, 1.0, size))
-    found, arrivals = at_sampling(stream)
+    found, jitter_s = at_sampling(stream)
     off = found.stamps_ns - sampled[~lost]
     assert np.mean(np.abs(off) < 2e5) > 0.99  # beside a gap a few may be off by a period
-    assert arrivals.replaced == len(stamps)
-    assert_allclose(arrivals.latest_s, longest_s, rtol=0.05 if not lost.any() else 1.5)
-    assert_allclose(arrivals.smoother, np.multiply(size, STD), rtol=0.1)
-    assert np.prod(arrivals.rougher) > 1.1 * np.prod(arrivals.smoother)
+    assert 0.2 < jitter_s / longest_s < 0.5
 
 
 @pytest.mark.parametrize(('speed', 'arrives'), [(1.0, False), (0.0, False), (0.0, True)])
@@ -132,6 +129,6 @@ def test_true_stamps_and_bodies_at_rest_are_left_alone(speed, arrives):
     stamps = arrived(sampled, 8e-3, 3)  # with a trigger that jitters they are times of sampling
     stream = PoseStream(
         '/tool', 'world', stamps, *moving(sampled if arrives else stamps, 4, speed))
-    found, arrivals = at_sampling(stream)
-    assert arrivals is None
+    found, jitter_s = at_sampling(stream)
+    assert jitter_s == 0.0
     assert found is stream
