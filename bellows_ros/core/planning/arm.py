@@ -122,23 +122,21 @@ class Arm(NamedTuple):
     def _moved(self, position: Array) -> tuple[Array, Array]:
         """Return poses of the tool, and the twist in tool axes by each joint."""
         T, names = np.tile(np.eye(4), (len(position), 1, 1)), self.moving
-        moved: list[tuple[int, Joint, Array, Array]] = []
+        J, moved = np.zeros((len(T), len(names), 6)), []
         for joint in self.joints:
             T = T @ joint.origin
             if joint.kind != 'fixed':
-                column = names.index(joint.drive or joint.name)
+                column, zero = names.index(joint.drive or joint.name), np.zeros(3)
                 q = np.multiply.outer(
                     joint.ratio * position[:, column] + joint.offset, joint.axis)
-                moved.append((column, joint, T[:, :3, 3], T[:, :3, :3] @ joint.axis))
-                T = T @ (lie.transform(lie.exp_so3(q), [0, 0, 0]) if joint.kind in TURNING
+                linear, angular = (zero, joint.axis) if joint.kind in TURNING else (
+                    joint.axis, zero)
+                moved.append((column, T, joint.ratio * np.concatenate([linear, angular])))
+                T = T @ (lie.transform(lie.exp_so3(q), zero) if joint.kind in TURNING
                          else lie.transform(np.eye(3), q))
-        J = np.zeros((len(T), 6, len(names)))
-        for column, joint, place, axis in moved:
-            turns = joint.kind in TURNING
-            linear = np.cross(axis, T[:, :3, 3] - place) if turns else axis
-            J[:, :, column] += joint.ratio * np.hstack([linear, axis if turns else 0.0 * axis])
-        in_tool = np.swapaxes(T[:, None, :3, :3], -1, -2) @ J.reshape(len(T), 2, 3, -1)
-        return T, in_tool.reshape(J.shape)
+        for column, frame, twist in moved:
+            J[:, column] += lie.apply(lie.adjoint(lie.inverse_transform(T) @ frame), twist)
+        return T, np.swapaxes(J, 1, 2)
 
     def positions(self, T: Array, guess: Array) -> Array:
         """
@@ -183,9 +181,8 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
         another.
 
     """
-    robot = _robot(urdf)
-    by_child = {_attribute(joint, 'child', 'link'): joint for joint in robot.findall('joint')}
-    by_name = {joint.get('name', ''): joint for joint in robot.findall('joint')}
+    joints = _robot(urdf).findall('joint')
+    by_child = {_attribute(joint, 'child', 'link'): joint for joint in joints}
     chain, link = list[ElementTree.Element](), tool_link
     while link in by_child and len(chain) <= len(by_child):
         chain.append(by_child[link])
@@ -196,6 +193,7 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
             f"The URDF has a joint without a name or parent, or a circle of joints, at '"
             f"{shown(link)}' on the way to the tool; expected a tree of named joints.")
     require_names(names, 'the URDF')
+    by_name = {joint.get('name', ''): joint for joint in joints}
     arm = Arm(link, tool_link, tuple(_joint(each, by_name) for each in reversed(chain)))
     if not arm.moving:
         raise BellowsError(
@@ -206,16 +204,16 @@ def read_arm(urdf: str, tool_link: str) -> Arm:
 
 def _robot(urdf: str) -> ElementTree.Element:
     """Return the root of a URDF; entity definitions raise, as they may expand without bound."""
-    reason = 'larger than 10 MB, or with entities' if (
-        len(urdf) > MAX_URDF_SIZE or '<!ENTITY' in urdf) else ''
     try:
-        robot = ElementTree.fromstring('<none/>' if reason else urdf)
-    except ElementTree.ParseError as error:
-        robot, reason = ElementTree.Element('none'), str(error)
-    if robot.tag != 'robot':
+        if len(urdf) > MAX_URDF_SIZE or '<!ENTITY' in urdf:
+            raise ValueError('larger than 10 MB, or with entities')
+        robot = ElementTree.fromstring(urdf)
+        if robot.tag != 'robot':
+            raise ValueError(f'it starts with <{shown(robot.tag)}>')
+    except (ElementTree.ParseError, ValueError) as error:
         raise BellowsError(
-            f'The URDF cannot be read: {reason or f"it starts with <{shown(robot.tag)}>"}. '
-            'Expected XML that starts with <robot>, as xacro writes it.')
+            f'The URDF cannot be read: {error}. Expected XML that starts with <robot>, as xacro '
+            'writes it.') from None
     return robot
 
 
@@ -231,47 +229,43 @@ def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Eleme
     if kind not in ('fixed', *TURNING, 'prismatic'):
         raise _error(name, f'is {shown(kind) or "of no kind"}',
                      'fixed, revolute, continuous or prismatic')
-    drive, ratio, offset = '', 1.0, 0.0
+    drive, limits = '', element
     if element.find('mimic') is not None and kind != 'fixed':
         drive = _attribute(element, 'mimic', 'joint')
         if drive not in by_name or by_name[drive].find('mimic') is not None:
             raise _error(name, f"mimics '{shown(drive)}'", 'a joint that mimics no other')
-        ratio = _number(name, element, 'mimic', 'multiplier', 1.0)
-        offset = _number(name, element, 'mimic', 'offset', 0.0)
-    axis = _numbers(name, element, 'axis', 'xyz', '1 0 0')
+        limits = by_name[drive]
+
+    def number(joint: ElementTree.Element, tag: str, attribute: str, default: float) -> float:
+        return float(_numbers(joint, tag, attribute, str(default), 1)[0])
+
+    axis = _numbers(element, 'axis', 'xyz', '1 0 0')
     length = float(np.linalg.norm(axis))
     if kind != 'fixed' and not length > 0.0:
         raise _error(name, 'has an axis of zero length', 'a direction')
-    pose = lie.transform(
-        lie.rpy_rotation(_numbers(name, element, 'origin', 'rpy', '0 0 0')),
-        _numbers(name, element, 'origin', 'xyz', '0 0 0'))
-    limits = by_name[drive] if drive else element
+    pose = lie.transform(lie.rpy_rotation(_numbers(element, 'origin', 'rpy', '0 0 0')),
+                         _numbers(element, 'origin', 'xyz', '0 0 0'))
     bounded = kind != 'continuous' and limits.find('limit') is not None  # 0 by default, as in URDF
-    lower, upper = (_number(name, limits, 'limit', key, 0.0) if bounded else end
+    lower, upper = (number(limits, 'limit', key, 0.0) if bounded else end
                     for key, end in (('lower', -math.inf), ('upper', math.inf)))
     return Joint(name, kind, pose, axis / (length or 1.0), lower, upper,
-                 _number(name, limits, 'limit', 'velocity', math.inf), drive, ratio, offset)
-
-
-def _number(
-    name: str, joint: ElementTree.Element, tag: str, attribute: str, default: float
-) -> float:
-    """Return a number of a joint."""
-    return float(_numbers(name, joint, tag, attribute, str(default), 1, math.inf)[0])
+                 number(limits, 'limit', 'velocity', math.inf), drive,
+                 *(number(element, 'mimic', key, default) if drive else default
+                   for key, default in (('multiplier', 1.0), ('offset', 0.0))))
 
 
 def _numbers(
-    name: str, joint: ElementTree.Element, tag: str, attribute: str, default: str, count: int = 3,
-    largest: float = MAX_NUMBER,
+    joint: ElementTree.Element, tag: str, attribute: str, default: str, count: int = 3
 ) -> Array:
-    """Return numbers of a joint, no larger than a bound: limits may be infinite in effect."""
+    """Return numbers of a joint; limits may be infinite."""
     text = _attribute(joint, tag, attribute, default)
     try:
-        numbers = np.array([float(word) for word in text.split()])
+        numbers = np.array(text.split(), float)
     except ValueError:
         numbers = np.array([])
-    if numbers.shape != (count,) or not (np.abs(numbers) <= largest).all():
-        raise _error(name, f"has {tag} {attribute} '{shown(text, 60)}'",
+    if numbers.shape != (count,) or np.isnan(numbers).any() or (
+            count > 1 and not (np.abs(numbers) < MAX_NUMBER).all()):
+        raise _error(joint.get('name', ''), f"has {tag} {attribute} '{shown(text, 60)}'",
                      'one number' if count == 1 else 'three numbers')
     return numbers
 

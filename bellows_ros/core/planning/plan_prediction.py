@@ -5,7 +5,6 @@ A plan is a `Trajectory` of E with body twists; the tool moves between its point
 Hermite curve, and rests after the last one. Loads are 1 / safety factor of the grip.
 """
 
-from collections.abc import Callable
 from copy import copy
 import math
 from typing import Any, NamedTuple
@@ -184,63 +183,51 @@ class PlanSimulation:
 
     def safety(self, duration_scale: float, least: float = 0.0) -> float:
         """Return the smallest safety factor, or the first safety factor below `least`."""
-        ceiling = 1.0 / least if least else math.inf
-        if self._simulate_plan(duration_scale, ceiling):
-            self._simulate_decay(ceiling)
-        load = float(self._extremes[0][:2, 0].max())
+        _, (peaks, _, _), _ = self.simulated(duration_scale, 1.0 / least if least else math.inf)
+        load = float(peaks[:2, 0].max())
         return 1.0 / load if load > 0.0 else math.inf
+
+    def states(self) -> Array:
+        """Return the states (N, 13) of B along the plan."""
+        return self.predict().states
 
     def predict(self) -> PlanPrediction:
         """Return the prediction of the plan, and of the package swinging after its end."""
-        self.states()
-        return self.prediction()
-
-    def states(self) -> Array:
-        """Predict along the plan, without the time after its end, and return (N, 13) rows of B."""
-        self._simulate_plan(1.0, math.inf)
-        if not np.isfinite(self.samples[0]).all():
+        (states, wrench, loads), (peaks, _, lip), settled = self.simulated()
+        if not np.isfinite(states).all():
             raise simulation.diverged()
-        return self.samples[0][:, :13].copy()
-
-    def prediction(self) -> PlanPrediction:
-        """Return the whole prediction after `states`, including the time after the end."""
-        settled = self._simulate_decay(math.inf)
-        peaks, _, lip = self._extremes
-        states, wrench, loads = self.samples
         return PlanPrediction(
-            self.tool, states[:, :13], wrench, loads, peaks, settled, lip[:, :2], lip[:, 2],
-            self._grip, self._tail > 0.0)
+            self.tool, states[:, :13].copy(), wrench, loads, peaks, settled, lip[:, :2],
+            lip[:, 2], self._grip, self._tail > 0.0)
 
-    def _simulate_plan(self, duration_scale: float, ceiling: float) -> bool:
-        """Store states and loads along the plan; return whether all are below the ceiling."""
-        n, no_sample = len(self._rows), np.full((len(PEAKS), 4), math.inf)
-        self.samples = (np.empty((n, simulation.row_length(self.start))), np.empty((n, 6)),
-                        np.empty((n, 2)))
-        self._extremes = (np.zeros((len(PEAKS), 3)), no_sample,
-                          np.tile([math.inf, -math.inf, 0.0], (6, 1)))
-        self._body, self._seconds, below = self._run(
-            _simulate_plan, self.start, (*self._inputs, duration_scale), self.longest,
-            self.samples, (self._extremes, ceiling, self._stop))
-        return bool(below)
+    def simulated(
+        self, duration_scale: float = 1.0, ceiling: float = math.inf
+    ) -> tuple[tuple[Array, Array, Array], Extremes, float]:
+        """
+        Return the samples at the points, the extremes, and the time (s) until settled.
 
-    def _simulate_decay(self, ceiling: float) -> float:
-        """Continue after the end; return the time (s) until the package has settled."""
-        # only the swing matters
-        h = max(self.longest, min(4e-3, COARSE_STEP_FACTOR * self.longest))
-        return float(self._run(
-            _simulate_decay, self._end[1], simulation.row_state(self._inputs[0][-1]), self._body,
-            self._seconds, (h, math.ceil(self._tail / h)),
-            (self._extremes, ceiling, self._stop)))
-
-    def _run(self, simulate: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the result of a kernel; raise if it diverges or another thread has stopped it."""
+        Samples are states with internal strains, wrenches and loads; the simulation ends at a load
+        above the ceiling.
+        """
+        n, grip, h = len(self._rows), self._grip or UNKNOWN_GRIP, self.longest
+        samples = (np.empty((n, simulation.row_length(self.start))), np.empty((n, 6)),
+                   np.empty((n, 2)))
+        extremes = (np.zeros((len(PEAKS), 3)), np.full((len(PEAKS), 4), math.inf),
+                    np.tile([math.inf, -math.inf, 0.0], (6, 1)))
+        watch, settled = (extremes, ceiling, self._stop), math.inf
         try:
-            result = simulate(self._model, self._grip or UNKNOWN_GRIP, *arguments)
+            body, seconds, below = _simulate_plan(
+                self._model, grip, self.start, (*self._inputs, duration_scale), h, samples, watch)
+            if below:
+                h = max(h, min(4e-3, COARSE_STEP_FACTOR * h))  # only the swing matters
+                settled = float(_simulate_decay(
+                    self._model, grip, self._end[1], simulation.row_state(self._inputs[0][-1]),
+                    body, seconds, (h, math.ceil(self._tail / h)), watch))
         except (ArithmeticError, ValueError):  # interpreted kernels raise instead of nan
             raise simulation.diverged() from None
         if self._stop[0]:
             raise BellowsError('The prediction was stopped before its end.')
-        return result
+        return samples, extremes, settled
 
 
 @kernel

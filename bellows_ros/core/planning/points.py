@@ -230,16 +230,13 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
             'holds NaN, infinity or a huge number', f'numbers below {MAX_PLAN_NUMBER:g}',
             'Leave such points out.')
     steps = np.diff(stamps_ns)
-    if not steps.any():
-        raise BellowsError(
-            f'{name} is not timed: all of its {len(stamps_ns)} points are at one time. Time it '
-            'with the planner (in MoveIt a time parameterization such as TOTG), and give that.')
     if steps.min() <= 0:
         i = int(np.argmax(steps <= 0))
         t = (stamps_ns[i:i + 2] - stamps_ns[0]) / NS_PER_S
         raise BellowsError(
-            f'{name}: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one at {t[0]:.6f} '
-            's; expected times that increase. Sort the points, and leave repeated ones out.')
+            f'{name} is not timed: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one '
+            f'at {t[0]:.6f} s; expected times that increase. Sort the points, or time them with the '
+            'planner (in MoveIt a time parameterization such as TOTG).')
     seconds = float(stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
     if seconds > MAX_TIME:
         raise BellowsError(
@@ -368,29 +365,28 @@ def joint_parts(arm: Arm, path: JointPath, acceleration: float) -> dict[str, flo
         If a joint leaves its range, at any speed.
 
     """
-    curve, joints = quintic(*path), arm.moving_joints
+    curve, parts = quintic(*path), dict[str, float]()
     at = np.linspace(
         0.0, path.seconds[-1], max(2, int(np.ceil(path.seconds[-1] * CHECK_RATE)) + 1))
-    for joint, position in zip(joints, curve(at).T, strict=True):
-        for k in (np.argmin(position), np.argmax(position)):
-            if not joint.lower <= position[k] <= joint.upper:
-                raise BellowsError(
-                    f"Joint '{joint.name}' would be at {position[k]:.4g} at {at[k]:.3f} s; its "
-                    f'range is {joint.lower:.4g} to {joint.upper:.4g} (rad or m). Start in '
-                    'another configuration, or move the path.')
     speeds, rates = np.abs(curve(at, 1)).max(axis=0), np.abs(curve(at, 2)).max(axis=0)
-    parts = {f'{joint.name} speed': float(speed / joint.speed)
-             for joint, speed in zip(joints, speeds, strict=True)}
-    parts |= {f'{joint.name} acceleration': float(rate / acceleration)
-              for joint, rate in zip(joints, rates, strict=True) if acceleration < math.inf}
+    for joint, position, speed, rate in zip(
+            arm.moving_joints, curve(at).T, speeds, rates, strict=True):
+        k = int(np.argmax(np.maximum(joint.lower - position, position - joint.upper)))
+        if not joint.lower <= position[k] <= joint.upper:
+            raise BellowsError(
+                f"Joint '{joint.name}' would be at {position[k]:.4g} at {at[k]:.3f} s; its "
+                f'range is {joint.lower:.4g} to {joint.upper:.4g} (rad or m). Start in '
+                'another configuration, or move the path.')
+        parts[f'{joint.name} speed'] = float(speed / joint.speed)
+        parts[f'{joint.name} acceleration'] = float(rate / acceleration)
     return parts
 
 
 def joint_excess(arm: Arm, path: JointPath, acceleration: float) -> tuple[float, str]:
     """Return the smallest factor of the duration within the limits of joints, and the limit."""
-    factors = [(math.sqrt(part) if name.endswith('acceleration') else part, name)
-               for name, part in joint_parts(arm, path, acceleration).items() if part > 1.0]
-    return max([(1.0, ''), *factors])
+    return max([(1.0, ''), *(
+        (math.sqrt(part) if name.endswith('acceleration') else part, name)
+        for name, part in joint_parts(arm, path, acceleration).items() if part > 1.0)])
 
 
 class Joints(NamedTuple):

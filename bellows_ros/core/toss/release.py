@@ -322,10 +322,11 @@ class HeldMotion:
         count = min(max(2, int(np.searchsorted(times, until)) + 1), len(times))
         self._plan = ToolRows(stamps_ns[:count], rows[:count])
         run = PlanSimulation(model, grip, self._plan, tail=0.0)
-        run.states()
-        self.times, self.tools, self.states = times[:count], rows[:count], run.samples[0]
-        self.start, self._longest, self._is_lost = (
-            run.start, run.longest, run.samples[2][:, 0] >= 1.0)
+        (self.states, _, loads), _, _ = run.simulated()
+        if not np.isfinite(self.states).all():
+            raise simulation.diverged()
+        self.times, self.tools, self.start = times[:count], rows[:count], run.start
+        self._longest, self._is_lost = run.longest, loads[:, 0] >= 1.0
         self._inputs = as_inputs(self.times, self.tools, self.states)
 
     def find_release(self, release: Release, switched: float) -> tuple[float, State, float, State]:
