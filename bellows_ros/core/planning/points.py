@@ -235,7 +235,7 @@ def _require_points(stamps_ns: Stamps, parts: Iterable[Array | None], name: str)
         t = (stamps_ns[i:i + 2] - stamps_ns[0]) / NS_PER_S
         raise BellowsError(
             f'{name} is not timed: point {i + 1} (the first is 0) is at {t[1]:.6f} s, after one '
-            f'at {t[0]:.6f} s; expected times that increase. Sort the points, or time them with the '
+            f'at {t[0]:.6f} s; expected increasing times. Sort the points, or time them with the '
             'planner (in MoveIt a time parameterization such as TOTG).')
     seconds = float(stamps_ns[-1] - stamps_ns[0]) / NS_PER_S
     if seconds > MAX_TIME:

@@ -217,7 +217,7 @@ class ReleaseFit(NamedTuple):
     @property
     def position(self) -> float:
         """RMS residual of the positions, m."""
-        return math.sqrt(float(np.mean([drop.position**2 for drop in self.drops])))
+        return _rms(np.array([drop.position for drop in self.drops]))
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters `release.*`, with the scatter between drops."""
@@ -254,7 +254,7 @@ def fit_release(drops: Sequence[Drop], given: Law = NO_LAW) -> ReleaseFit:
             f'The release needs {MIN_DROPS} or more usable drops, got {len(drops)}. Record more.')
     expected = np.log(np.where(np.array(given) > 0.0, given, TYPICAL_LAW))
     delay = max(float(np.median([*map(_fall, drops)])) - OPENING, 0.3 * TYPICAL_LAW[0])
-    fit = _as_fit(drops, _fitted(drops, np.append(np.log(delay), expected[1:]), expected).x)
+    fit = _as_fit(drops, _fitted(drops, np.append(np.log(delay), expected[1:]), expected))
     latest = max(abs(drop.own_delay) for drop in fit.drops)
     if latest < MAX_OWN * DELAY_STD and (fit.position <= MAX_RMS or fit.chi2 <= MAX_CHI2):
         return fit
@@ -276,22 +276,17 @@ def _fitted(drops: Sequence[Drop], start: Array, expected: Array) -> Any:
     """Return the result of a fit: the logarithms (6,) of the law, and the own delays (N,)."""
     count = len(drops)
 
-    def rows(x: Array) -> Array:
-        return np.column_stack([np.tile(x[:6], (count, 1)), x[6:]])
-
     def residuals(x: Array) -> Array:
-        return np.concatenate([
-            *map(Drop.residuals, drops, rows(x)), (x[:6] - expected) / PRIOR_STD])
+        parts = [drop.residuals(np.append(x[:6], own)) for drop, own in zip(
+            drops, x[6:], strict=True)]
+        return np.concatenate([*parts, (x[:6] - expected) / PRIOR_STD])
 
     def slopes(x: Array) -> Array:
-        parts = [*map(Drop.slopes, drops, rows(x))]
-        J = np.zeros((sum(map(len, parts)) + 6, 6 + count))
-        first = 0
-        for k, part in enumerate(parts):
-            J[first:first + len(part), [*range(6), 6 + k]] = part
-            first += len(part)
-        J[first:, :6] = np.eye(6) / PRIOR_STD
-        return J
+        parts = [drop.slopes(np.append(x[:6], own)) for drop, own in zip(
+            drops, x[6:], strict=True)]
+        return np.vstack([
+            np.hstack([np.vstack(parts)[:, :6], scipy.linalg.block_diag(*(
+                part[:, 6:] for part in parts))]), np.eye(6, 6 + count) / PRIOR_STD])
 
     middle, own = np.append(expected, np.zeros(count)), np.zeros(count)
     reach = np.append(np.full(6, 5.0 * PRIOR_STD), np.full(count, 2.0 * MAX_OWN))
@@ -300,13 +295,14 @@ def _fitted(drops: Sequence[Drop], start: Array, expected: Array) -> Any:
         x_scale='jac', ftol=1e-6, max_nfev=60)
 
 
-def _as_fit(drops: Sequence[Drop], x: Array) -> ReleaseFit:
+def _as_fit(drops: Sequence[Drop], result: Any) -> ReleaseFit:
     """Return a fit from the logarithms (6,) of the law and the own delays (N,)."""
-    rows = np.column_stack([np.tile(x[:6], (len(drops), 1)), x[6:]])
-    hessian, gradients, variances = np.eye(6) / PRIOR_STD**2, [], []
-    for drop, row in zip(drops, rows, strict=True):
-        J = drop.slopes(row)
-        matrix, gradient = J.T @ J, J.T @ drop.residuals(row)
+    law, own = np.exp(result.x[:6]), result.x[6:]
+    hessian, gradients, variances, first = np.eye(6) / PRIOR_STD**2, [], [], 0
+    for k, drop in enumerate(drops):
+        rows = slice(first, first := first + 6 * len(drop.package) + 1)
+        J = result.jac[rows][:, [*range(6), 6 + k]]
+        matrix, gradient = J.T @ J, J.T @ result.fun[rows]
         gain = matrix[:6, 6] / matrix[6, 6]  # the own delay is eliminated
         hessian += matrix[:6, :6] - np.outer(gain, matrix[6, :6])
         gradients.append(gradient[:6] - gain * gradient[6])
@@ -317,10 +313,10 @@ def _as_fit(drops: Sequence[Drop], x: Array) -> ReleaseFit:
     for of_drop in clusters:
         if len(of_drop) > 2:
             covariance += _clustered(of_drop @ np.array(gradients), np.asarray(inverse))
-    law = np.exp(x[:6])
-    scatter = DELAY_STD * math.sqrt(max(np.var(x[6:], ddof=1) - np.mean(variances), 0.0))
-    return ReleaseFit(as_law(law), np.outer(law, law) * covariance, scatter,
-                      tuple(map(_explained, drops, rows)))
+    scatter = DELAY_STD * math.sqrt(max(np.var(own, ddof=1) - np.mean(variances), 0.0))
+    return ReleaseFit(as_law(law), np.outer(law, law) * covariance, scatter, tuple(
+        _explained(drop, np.append(result.x[:6], each))
+        for drop, each in zip(drops, own, strict=True)))
 
 
 def _clustered(gradients: Array, inverse: Array) -> Array:
