@@ -188,7 +188,7 @@ class PlanSimulation:
         return 1.0 / load if load > 0.0 else math.inf
 
     def states(self) -> Array:
-        """Return the states (N, 13) of B along the plan."""
+        """Return the rows (N, 13) of B along the plan."""
         return self.predict().states
 
     def predict(self) -> PlanPrediction:
