@@ -250,7 +250,7 @@ def _print_observed(observed: 'Observed', out: Any) -> None:
                 for i, name in enumerate(AXES)]
     out.table([('axis', *(observed.corners or observed.estimates)), *rows], right=True,
               title=f'With {observed.topic}, RMS error')
-    out.paragraph(observed.sentence)
+    out.paragraph(' '.join(map(text_of, observed.findings)))
     for line in observed.alarm_lines:
         out.warn(f'Alarm at {line}')
 

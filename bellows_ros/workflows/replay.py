@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 import os
 import time
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -26,8 +25,6 @@ from bellows_ros.core.live.recorded import Messages, predicted_trajectory
 from bellows_ros.core.model import validity_range
 from bellows_ros.core.model.grip import Margin
 from bellows_ros.core.observer.alarms import Alarm
-from bellows_ros.core.observer.measurement import at_com
-from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.conversion import cup_of, package_of
@@ -87,32 +84,23 @@ class Live(residuals.Comparison):
             'corners': self.corners}
 
 
-COUNTED: Mapping[str, str] = {
-    'gate': 'outside the gate', 'not_held': 'while nothing was predicted',
-    'future_stamp': "later than the tool's", 'recovered': 'from which it restarted',
-    'out_of_reach': 'where the cup cannot hold it'}
-"""Words for the counts of measured poses."""
-
-
 class Observed(NamedTuple):
     """
-    The recorded package and three estimates over a common time.
+    The recorded package and two live predictions over a common time.
 
     Parameters
     ----------
     topic : str
         Topic of the measured poses.
     estimates : mapping of str to residuals.Comparison
-        'prediction alone', from the tool; 'camera alone', the newest measured pose; 'both', the
-        corrected prediction. Each uses only measurements before its stamp.
+        'prediction alone', from the tool; 'both', corrected by the measured poses before its
+        stamp.
     counts : mapping of str to int
         Numbers of used measured poses, and of others by reason.
     alarms : tuple of (float, Alarm)
         Alarms with their times, s from the first pose of the tool.
     payload : Payload or None
         Estimated mass and centre of mass, if payload.estimate is set.
-    findings : tuple of Finding
-        Findings on the kind of sensor.
     corners : mapping of str to CornerScores
         Errors in the corners of a tag without and with corrections; empty for a body.
 
@@ -123,23 +111,21 @@ class Observed(NamedTuple):
     counts: Mapping[str, int]
     alarms: tuple[tuple[float, Alarm], ...]
     payload: Payload | None
-    findings: tuple[Finding, ...] = ()
-    corners: Mapping[str, CornerScores | None] = MappingProxyType({})
+    corners: Mapping[str, CornerScores | None]
 
     @property
-    def sentence(self) -> str:
-        """Counts of the measured poses, and the estimated payload."""
-        counted = ', '.join(f'{count} {COUNTED.get(what, what.replace("_", " "))}'
-                            for what, count in self.counts.items())
-        found = [Finding('measured_poses', Level.OK, {'counted': counted})]
-        if 2 * self.counts.get('used', 0) < sum(self.counts.values()):
-            found.append(Finding('mostly_unused', topic=self.topic))
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the counts of the measured poses, and on the estimated payload."""
+        mostly = 2 * self.counts.get('used', 0) >= sum(self.counts.values())
+        counted = ', '.join(f'{n} {what.replace("_", " ")}' for what, n in self.counts.items())
+        found = [Finding('measured_poses', Level.OK if mostly else Level.WARN, {
+            'counted': counted}, self.topic)]
         if payload := self.payload:
             found.append(Finding('payload', Level.OK, {
                 'mass': payload.mass, 'std': payload.mass_std, 'com': ', '.join(
                     f'{1e3 * x:.2f} ± {1e3 * std:.2g}' for x, std in zip(
                         payload.com, payload.com_std, strict=True))}))
-        return ' '.join(map(text, [*found, *[Finding('no_alarm')] * (not self.alarms)]))
+        return tuple(found)
 
     @property
     def alarm_lines(self) -> list[str]:
@@ -312,22 +298,18 @@ def replay(
     sent = _tool_messages(recording, values)
     live = _predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
-    camera = _observed(
-        bag, recording, sent, live, values, observe, signals) if observe else None
+    found, camera = free.findings, None
+    lost: tuple[Finding, ...] = ()
+    more: tuple[Finding, ...] = ()
+    if observe:
+        camera, more = _observed(bag, recording, sent, live, values, observe, signals)
+        lost = tuple(Finding('lost_at', Level.WARN, {
+            'time': seconds, 'end': max(seconds - 0.5, 0.0)})
+            for seconds, alarm in camera.alarms if alarm.kind == 'lost')[:1]
+        if camera.alarms or values.payload.estimate:  # they explain a mean stretch
+            found = tuple(each for each in found if each.code != 'mean_stretch')
     progress('done', 1.0)
-    return replace(free, live=live, observed=camera,
-                   findings=(*note, *_with_camera(free, camera)))
-
-
-def _with_camera(free: Replay, camera: Observed | None) -> tuple[Finding, ...]:
-    """Return the findings; those of a camera replace the mean stretch as explanation."""
-    if camera is None:
-        return free.findings
-    lost = [Finding('lost_at', Level.WARN, {'time': seconds, 'end': max(seconds - 0.5, 0.0)})
-            for seconds, alarm in camera.alarms if alarm.kind == 'lost'][:1]
-    is_known = camera.alarms or free.values.payload.estimate
-    return (*lost, *(each for each in free.findings if not is_known
-                     or each.code != 'mean_stretch'), *camera.findings)
+    return replace(free, live=live, observed=camera, findings=(*note, *lost, *found, *more))
 
 
 def validated(values: Values, recording: Recording) -> Replay:
@@ -459,36 +441,35 @@ def _messages_of(stream: PoseStream) -> list[tuple[int, Any, Any, Any]]:
 def _observed(
     bag: File, recording: Recording, messages: Messages, uncorrected: Live,
     values: Values, topic: str, signals: Sequence[Signal],
-) -> Observed:
-    """Predict a recording live with measured poses of the package, and compare both."""
+) -> tuple[Observed, tuple[Finding, ...]]:
+    """Predict live with measured poses; return the comparison, and findings on the sensor."""
     stream, pose = _measured_stream(bag, recording, values, topic)
     values = values.replaced({'recording.package_world': checks.pose_text(pose)})
     measured = _messages_of(stream)
     live = live_predictor(values, signals)
     observer = live.package.observer
     corrected = predicted_trajectory(live, messages, measured=measured, signals=signals)
-    tool, package = compared_poses(recording)
-    camera = _last_measured(observer, measured, package, package_of(values).com)
-    prediction = uncorrected.select(uncorrected.stamps_ns >= camera.stamps_ns[0])
-    compared = np.isin(package.stamps_ns, prediction.stamps_ns)
-    tool, package = tool.select(compared), package.select(compared)
-    camera = camera.select(np.isin(camera.stamps_ns, package.stamps_ns))
-    seen = np.isin(package.stamps_ns, camera.stamps_ns)
+    is_later = uncorrected.stamps_ns > stream.stamps_ns[0]
+    if is_later.sum() < 2:
+        raise BellowsError(
+            'All measured poses are later than the recorded ones. Check that one clock stamps '
+            'both.')
+    prediction = uncorrected.select(is_later)
+    tool, package = (body.select(np.isin(body.stamps_ns, prediction.stamps_ns))
+                     for body in compared_poses(recording))
     counts = {what: n for what, n in observer.counts.items() if n}
     if later := len(measured) - sum(counts.values()):
         counts['future_stamp'] = counts.get('future_stamp', 0) + later
     counts |= {reason: len(numbers) for reason, numbers in stream.refused.items()}
     return Observed(
-        topic, {'prediction alone': prediction,
-                'camera alone': residuals.compare(
-                    camera, tool.select(seen), package.select(seen)),
-                'both': _compared(corrected, tool, package)}, counts,
+        topic,
+        {'prediction alone': prediction, 'both': _compared(corrected, tool, package)}, counts,
         tuple(((alarm.stamp_ns - int(messages.stamps_ns[0])) / NS_PER_S, alarm)
               for alarm in observer.alarms),
         observer.payload,
-        _sensor_findings(stream, values.measured.tag_size > 0.0),
         {'prediction alone': uncorrected.corners,
-         'both': corner_scores(recording, corrected)} if recording.views else {})
+         'both': corner_scores(recording, corrected)} if recording.views else {},
+    ), _sensor_findings(stream, values.measured.tag_size > 0.0)
 
 
 def _sensor_findings(stream: PoseStream, is_tag: bool) -> tuple[Finding, ...]:
@@ -543,27 +524,3 @@ def _compared(
     gaps_ns = predicted.stamps_ns[after] - predicted.stamps_ns[after - 1]
     inside = gaps_ns <= LONGEST_GAP_NS
     return residuals.compare_recorded(predicted, tool.select(inside), package.select(inside))
-
-
-def _last_measured(
-    observer: Observer, poses: Sequence[Any], at: Trajectory, com: Array
-) -> Trajectory:
-    """Return the last measured poses of B before each stamp, if possible of the last 0.5 s."""
-    stamps_ns = np.array([stamp_ns for stamp_ns, *_ in poses])
-    newest = np.searchsorted(stamps_ns, at.stamps_ns) - 1
-    inside = newest >= 0
-    if inside.sum() < 2:
-        raise BellowsError(
-            'All measured poses are later than the recorded ones. Check that one clock stamps '
-            'both.')
-    recent = inside & (at.stamps_ns - stamps_ns[newest] <= LONGEST_GAP_NS)
-    inside = recent if recent.sum() > 1 else inside
-    rows = []
-    for _, position, q, _ in poses:
-        measured = observer.sensor.measurement(1, position, q)
-        assert not isinstance(measured, str)
-        rows.append(np.concatenate(at_com(
-            *measured[1:4], observer.sensor.marker, tuple(com.tolist()))[:2]))
-    chosen = np.array(rows)[newest[inside]]
-    return Trajectory(
-        at.stamps_ns[inside], chosen[:, :3], lie.quaternion_to_rotation(chosen[:, 3:]))
