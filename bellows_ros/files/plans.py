@@ -5,7 +5,7 @@ Messages of rclpy, of rosbags and from YAML have the same attributes. Plans are 
 interpolated.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import json
 from operator import attrgetter
 import struct
@@ -19,7 +19,7 @@ from bellows_ros.core.planning.arm import Arm, read_arm
 from bellows_ros.core.planning.points import JointPath, require_count
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, require_names, shown
-from bellows_ros.files import bags, File, read_text
+from bellows_ros.files import File, read_text
 from bellows_ros.files.messages import HEAD, LIP_FRAME, PACKAGE_FRAME
 import numpy as np
 
@@ -232,6 +232,13 @@ def ns_of(stamp: Any) -> int:
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
+def _recorded(path: File, *selection: Any) -> Iterator[tuple[str, int, Any]]:
+    """Return decoded messages; see `bags.messages_of`, which nodes do not load."""
+    from bellows_ros.files import bags
+
+    return bags.messages_of(path, *selection)
+
+
 def plans_in(path: File, topic: str = '') -> list[tuple[str, Plan]]:
     """
     Return the plans in a recording, each with its topic, in the order of the files.
@@ -242,7 +249,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, Plan]]:
         If the recording cannot be read, or a plan in it is invalid.
 
     """
-    return [(name, plan) for name, _, message in bags.messages_of(path, PLAN_TYPES, topic)
+    return [(name, plan) for name, _, message in _recorded(path, PLAN_TYPES, topic)
             for plan in plans_of(message)]
 
 
@@ -281,7 +288,7 @@ def recorded_joints(path: File, arm: Arm) -> Plan:
         If there are no joint states, or they lack a joint of the arm.
 
     """
-    messages = [message for _, _, message in bags.messages_of(path, (STATES,))]
+    messages = [message for _, _, message in _recorded(path, (STATES,))]
     names = next((m.name for m in messages if set(arm.moving) <= set(m.name)),
                  messages[0].name if messages else ())
     columns = arm.columns(names, f"Joint states in '{path}'")
@@ -314,7 +321,7 @@ def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:
             'The input has joint positions, but not the link of the tool tip. Set tool_link.')
     if urdf:
         return read_arm(read_text(urdf, 2**26, 'URDF'), tool_link)
-    for topic, _, message in bags.messages_of(recording, (DESCRIPTION,)) if recording else ():
+    for topic, _, message in _recorded(recording, (DESCRIPTION,)) if recording else ():
         if topic.endswith('robot_description'):
             return read_arm(message.data, tool_link)
     raise BellowsError(

@@ -42,26 +42,26 @@ def help_text(name: str) -> str:
     from ..core.parameters.table import parameters_for
 
     content = interface(name)
-    sections = {
-        'Start it with:': [f'  {example}' for example in content['examples']],
-        'Topics and services (relative names; remap with -r FROM:=TO):': [
-            _entry('{name}  [{type}]'.format(**topic), topic['text'])
-            for topic in content.get('topics', ())],
-        'Parameters (set with -p NAME:=VALUE or --params-file FILE):': [
-            _entry(f'{p.name}  [{p.constraint}; {p.default_text}'
-                   f'{"; cannot change while the node runs" if p.read_only else ""}]',
-                   p.description) for p in parameters_for(name)]}
-    return '\n\n'.join([
-        f'usage: {name} [--help] [--version] [--ros-args ...]',
-        textwrap.fill(content['purpose'], HELP_WIDTH),
-        *('\n'.join([head, *lines]) for head, lines in sections.items() if lines)]) + '\n'
+    topics = [(f'{each["name"]}  [{each["type"]}]', each['text'])
+              for each in content.get('topics', ())]
+    lines = [f'usage: {name} [--help] [--version] [--ros-args ...]\n',
+             _wrapped(content['purpose']), '\nStart it with:',
+             *(f'  {example}' for example in content['examples'])]
+    for title, entries in (
+            ('Topics and services (relative names; remap with -r FROM:=TO):', topics),
+            ('Parameters (set with -p NAME:=VALUE or --params-file FILE):', [
+                (f'{p.name}  [{p.constraint}; {p.default_text}'
+                 f'{"; cannot change while the node runs" if p.read_only else ""}]',
+                 p.description) for p in parameters_for(name)])):
+        lines += [f'\n{title}'] * bool(entries)
+        for head, text in entries:
+            lines += [_wrapped(head, '  ', '    '), _wrapped(text, '      ', '      ')]
+    return '\n'.join(lines) + '\n'
 
 
-def _entry(head: str, text: str) -> str:
-    """Return a head and its indented, wrapped sentence."""
-    head = textwrap.fill(head, HELP_WIDTH, initial_indent='  ', subsequent_indent='    ')
-    body = textwrap.fill(text, HELP_WIDTH, initial_indent='      ', subsequent_indent='      ')
-    return f'{head}\n{body}'
+def _wrapped(text: str, first: str = '', then: str = '') -> str:
+    """Return a text in lines, with the beginnings of the first and of all others."""
+    return textwrap.fill(text, HELP_WIDTH, initial_indent=first, subsequent_indent=then)
 
 
 def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
@@ -162,12 +162,15 @@ def _run_node(argv: Sequence[str], node: str) -> None:
     handlers = {number: signal.signal(number, record) for number in STOP_SIGNALS}
     try:
         make_node = resolve_name(node)
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
         from rclpy.utilities import try_shutdown
 
-        from .guarding import spin
+        from .guarding import refusals_of_ros, spin
 
         try:
-            _initialise(argv)
+            with refusals_of_ros('start with these arguments'):
+                rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
             created.append(make_node())
             spin(created[0], lambda: bool(received))
         finally:
@@ -177,23 +180,6 @@ def _run_node(argv: Sequence[str], node: str) -> None:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-
-
-def _initialise(argv: Sequence[str]) -> None:
-    """Start ROS; raise BellowsError for faulty arguments."""
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-
-    for flag, file in pairwise(argv):
-        if flag == '--params-file' and not Path(file).is_file():
-            raise BellowsError(f"Parameter file '{file}' does not exist.")
-    try:
-        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # base class of all errors of rcl
-        why = str(error).partition(', at /')[0].rstrip('.').removeprefix(
-            'failed to initialize rcl: ')
-        raise BellowsError(
-            f'ROS cannot start with these arguments: {shown(why, 400)}.') from None
 
 
 def _exit_at_once() -> NoReturn:

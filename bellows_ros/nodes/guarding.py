@@ -8,9 +8,9 @@ executor that is woken by events does not.
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import wraps
 import gc
 from pathlib import Path
@@ -33,7 +33,7 @@ from std_srvs.srv import Trigger
 
 from ..core.parameters import checks, table
 from ..core.parameters.values import Values
-from ..errors import BellowsError, shown
+from ..errors import BellowsError, MAX_MESSAGE, shown
 from ..report import findings, health
 
 PACKAGE = Path(__file__).parents[1]
@@ -49,6 +49,16 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 THREADS = 2
 """Threads of work aside: one may compile for a minute while the other answers."""
+
+
+@contextmanager
+def refusals_of_ros(work: str) -> Iterator[None]:
+    """Raise BellowsError for an error of ROS during some work, such as a name it cannot use."""
+    try:
+        yield
+    except (RuntimeError, ParameterException) as error:  # bases of errors of rcl and rclpy
+        why = ' '.join(str(error).partition(', at /')[0].rstrip('.').split())
+        raise BellowsError(f'ROS cannot {work}: {shown(why, 400)}.') from None
 
 
 class Once:
@@ -99,14 +109,12 @@ class GuardedNode(Node):
 
     def note_failure(self, error: Exception, place: str = '') -> None:
         """Count an exception by its place, by default its line of code; log the first one."""
-        frames = traceback.extract_tb(error.__traceback__)
-        ours = [frame for frame in frames[1:] if PACKAGE in Path(frame.filename).parents]
-        innermost = (ours or frames)[-1]  # the first frame is the guard itself
+        frames = traceback.extract_tb(error.__traceback__)  # the first one is the guard itself
+        own = [frame for frame in frames[1:] if PACKAGE in Path(frame.filename).parents]
+        innermost = (own or frames)[-1]
         place = place or f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
-        if self.failures[place] > 1:
-            return
-        with suppress(Exception):  # a failure of logging must not end the node either
+        if self.failures[place] == 1:
             self.get_logger().error(
                 f'A callback failed at {place}: {type(error).__name__}: {shown(str(error))}. The '
                 'node continues, and only counts further failures there. Please report it, with '
@@ -241,29 +249,20 @@ class TableNode(GuardedNode):
     def __init__(
         self, user: str, read_only: bool = False, results: Collection[str] = (), **options: Any
     ) -> None:
-        try:
+        with refusals_of_ros(f"create the node '{user}'"):
             super().__init__(user, **options)
-        except (RuntimeError, ParameterException) as error:  # bases of errors of rcl and rclpy
-            why = ' '.join(str(error).partition(', at /')[0].split())
-            raise BellowsError(
-                f"ROS cannot create the node '{user}': {shown(why, 400)}.") from None
         self._read_only = read_only
-        try:
-            overridden = {
-                name: parameter.value
-                for name, parameter in self._parameter_overrides.items()
-                if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
-            self.overridden = frozenset(overridden)
-            required = [p.name for p in table.parameters_for(user) if p.default is None]
-            self.values: Values = checks.resolve(
-                overridden, () if overridden.get('package.files') else required)
-            self.doubts = self.check_values(self.values)
-            for name, value in self.values.items():
-                if name not in results and user in table.lookup(name).used_by:
-                    self.declare_from_table(name, value)
-        except BellowsError:
-            self.destroy_node()
-            raise
+        overridden = {
+            name: parameter.value for name, parameter in self._parameter_overrides.items()
+            if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
+        self.overridden = frozenset(overridden)
+        required = [p.name for p in table.parameters_for(user) if p.default is None]
+        self.values: Values = checks.resolve(
+            overridden, () if overridden.get('package.files') else required)
+        self.doubts = self.check_values(self.values)
+        for name, value in self.values.items():
+            if name not in results and user in table.lookup(name).used_by:
+                self.declare_from_table(name, value)
         self.add_on_set_parameters_callback(self._validate)
         self.add_post_set_parameters_callback(self.guarded(self._apply))
 
@@ -292,24 +291,21 @@ class TableNode(GuardedNode):
         try:
             if changed := self._changed(parameters):
                 self.check_values(self.values.replaced(changed))
-        except BellowsError as error:
-            return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:  # noqa: BLE001 (whatever it is, nothing is to change)
-            self.note_failure(error)
-            return SetParametersResult(successful=False, reason=shown(str(error)))
+            if not isinstance(error, BellowsError):
+                self.note_failure(error)
+            return SetParametersResult(successful=False, reason=shown(str(error), MAX_MESSAGE))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
         """Use parameters that were set together in one step, and log new doubts about them."""
-        if not (changed := self._changed(parameters)):
-            return
-        before = {name: self.values[name] for name in changed}
-        self.values = self.values.replaced(changed)
-        doubts = self.check_values(self.values)
-        for doubt in set(doubts) - set(self.doubts):
-            self.get_logger().warning(doubt)
-        self.doubts = doubts
-        self.on_values(before)
+        if changed := self._changed(parameters):
+            before, known = self.values, self.doubts
+            self.values = before.replaced(changed)
+            self.doubts = self.check_values(self.values)
+            for doubt in set(self.doubts) - set(known):
+                self.get_logger().warning(doubt)
+            self.on_values({name: before[name] for name in changed})
 
 
 class ManagedNode(LifecycleNodeMixin, TableNode):
