@@ -6,8 +6,6 @@ import shutil
 from bellows_ros.files.bags import as_messages, write_bag
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
 from ruamel.yaml import YAML
 
 from .conftest import contents, KNOWN, TRANSPORT, write_yaml
@@ -38,10 +36,7 @@ def still(topic, seconds, start_s=0.0, kind=POSE):
 
 def write_bad_bags(folder):
     """Write recordings that cannot be used."""
-    (folder / 'hollow').mkdir()
     (folder / 'bad.mcap').write_text('certainly not a recording')
-    with Writer(folder / 'empty', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        writer.add_connection('/tool_arm/pose', POSE, typestore=get_typestore(Stores.ROS2_JAZZY))
     tool, twist = still('/tool_arm/pose', 5.0), still('/tool_arm/twist', 5.0, kind=TWIST)
     write_bag(folder / 'other', [still('/arm/pose', 5.0), still('/box/pose', 5.0)])
     write_bag(folder / 'twists', [
@@ -52,27 +47,22 @@ def write_bad_bags(folder):
 def write_bad_files(folder):
     """Write parameters, motions and limits that are wrong."""
     write_yaml(folder / 'massless.yaml', {n: v for n, v in KNOWN.items() if n != 'package.mass'})
-    (folder / 'sentence.yaml').write_text('just a sentence')
     motion = YAML(typ='safe').load((folder / 'motion.yaml').read_text())
     write_yaml(folder / 'dance.yaml', {**motion, 'kind': 'dance'})
     write_yaml(folder / 'transport.yaml', TRANSPORT)
     write_yaml(folder / 'point.yaml', {**TRANSPORT, 'waypoints': {'poses': []}})
-    quick = {'poses': [{'position': [0.4, 0.0, 0.0], 'move': 0.2}]}
-    write_yaml(folder / 'fast.yaml', {**TRANSPORT, 'waypoints': quick})
     limits = YAML(typ='safe').load((ROOT / 'config' / 'limits_example.yaml').read_text())
-    write_yaml(folder / 'arm.yaml', limits)
     write_yaml(folder / 'misspelt.yaml', {**limits, 'bendig': 1.0})
     write_yaml(folder / 'safe.yaml', {'safety_factor': 1.0})
 
 
 @pytest.fixture(scope='module')
-def cell(workshop, identified, tmp_path_factory):
+def cell(workshop, tmp_path_factory):
     """Give a folder with a recording, what is known of it, results, and much that is wrong."""
     folder = tmp_path_factory.mktemp('cell')
     shutil.copytree(workshop, folder, dirs_exist_ok=True)
     write_yaml(folder / 'bags.yaml', {
         **KNOWN, 'bags': ['recording'], 'static.bags': ['recording']})
-    shutil.copy(identified / 'fit.json', folder)
     (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
     (folder / 'link').symlink_to('recording')
     (folder / 'sources').mkdir()
@@ -121,6 +111,7 @@ NOT_ALLOWED = [
     ('IDENTIFY --set fit.structur=full', "--set fit.structur: ... 'fit.structure'"),
     ('info recording --from soon', '--from: recording.start'),
     ('PLAN transport.yaml --steer zv --limits safe.yaml', 'cup.lip_radius'),
+    ('PLAN transport.yaml --limits misspelt.yaml', "'bendig'"),
     ('TOSS --target 1900 150', 'mm'),
     ('TOSS', 'release ... target'),
 ]

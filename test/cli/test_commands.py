@@ -56,28 +56,17 @@ BAGS = Path(__file__).parents[2] / 'bags'
 PLAN, PARAMS = BAGS / 'throw.yaml', BAGS / 'tossing.yaml'
 
 
-def test_toss_prints_landing_and_largest_contribution(succeed, tmp_path):
-    """Give the names of the JSON, a picture, and the advice."""
-    file, picture = tmp_path / 'toss.json', tmp_path / 'toss.png'
-    done = succeed(
-        'toss', PLAN, '--params', PARAMS, '--release', 3.0, '--json', file, '--plot', picture)
+def test_toss_prints_draws_and_writes_the_landing(succeed, tmp_path):
+    """Held, parting and flying: the package leaves the cup, and falls to where it lands."""
+    file, picture, bag = (tmp_path / name for name in ('toss.json', 'toss.png', 'thrown'))
+    done = succeed('toss', PLAN, '--params', PARAMS, '--release', 3.0, '--json', file, '--plot',
+                   picture, '--out', bag)
     found = json.loads(file.read_text())
-    assert set(found) >= {
-        'release_time', 'release_mode', 'release_pose', 'release_twist', 'landing_time',
-        'landing_position', 'landing_rotation', 'landing_covariance', 'tumbling', 'budget',
-        'drawn', 'failed', 'plan', 'version', 'provenance'}
     assert found['release_mode'] == 'peel'
     assert 3.012 < found['release_time'] < found['landing_time'] < 4.0
     assert set(found['budget'][0]) == {'name', 'std', 'contribution_mm', 'contribution_deg'}
     assert 'Reduce first: release,' in done.stdout
     assert picture.stat().st_size > 20_000
-
-
-def test_writes_the_toss_as_a_recording(bellows, tmp_path):
-    """Held, parting and flying: the package leaves the cup, and falls to where it lands."""
-    bag = tmp_path / 'thrown'
-    done = bellows('toss', PLAN, '--params', PARAMS, '--release', 3.0, '--out', bag, '--json', '-')
-    found = json.loads(done.stdout)
     poses = read_streams(bag, {'package_pose': '/package/pose'})['package_pose']
     seconds = (poses.stamps_ns - poses.stamps_ns[0]) * 1e-9
     assert seconds[-1] == pytest.approx(found['landing_time'], abs=2.1e-3)

@@ -1,14 +1,16 @@
 """Recordings as they are read and prepared, with one clock and with two."""
 
-from dataclasses import replace
-
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import as_messages, read_streams, write_bag
 from bellows_ros.workflows.recordings import load
+import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from .two_clocks import rewritten, TOPICS
+TOPICS = {'tool_pose': '/tool_arm/pose', 'tool_twist': '/tool_arm/twist',
+          'package_pose': '/package/pose'}
 
 
 @pytest.fixture(scope='module')
@@ -20,12 +22,15 @@ def values(known, true_cup):
 @pytest.fixture(scope='module')
 def behind(root, tmp_path_factory):
     """Return the shipped validation with the tool stamped 12.3 ms late."""
-    def seen(role, stream):
-        behind = 0 if role == 'package_pose' else 12_300_000
-        return replace(stream, stamps_ns=stream.stamps_ns + behind)
-
     bag = tmp_path_factory.mktemp('late') / 'bag'
-    return rewritten((root / 'bags/validation',), bag, seen, TOPICS)
+    streams = read_streams(root / 'bags/validation', TOPICS)
+    write_bag(bag, [as_messages(
+        TOPICS[role], f'geometry_msgs/msg/{"Twist" if role == "tool_twist" else "Pose"}Stamped',
+        own.stamps_ns + 12_300_000 * (role != 'package_pose'), np.hstack(
+            [own.linear, own.angular] if role == 'tool_twist' else
+            [own.position, rotation_to_quaternion(own.rotation)]), own.frame_id)
+        for role, own in streams.items()])
+    return bag
 
 
 def test_the_tool_comes_to_the_clock_of_the_package(root, values, behind):

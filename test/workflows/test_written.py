@@ -29,8 +29,10 @@ def bag(root, true_cup, tmp_path_factory):
         marks=pytest.mark.stress),
     ({'fit.free': ['length'], 'cup.length': 0.0475}, True),
     ({'fit.free': ['time_offset', 'package_marker']}, True),
+    ({'fit.free': ['time_offset'], 'recording.package_world': 'estimate'}, True),
     ({'fit.method': 'least_squares'}, False)],
-    ids=['as given', 'com and length off', 'length free', 'marker and clock', 'least squares'])
+    ids=['as given', 'com and length off', 'length free', 'marker and clock', 'world and clock',
+         'least squares'])
 def test_the_files_of_a_fit_reproduce_its_free_simulation(
         known, bag, tmp_path, changes, has_cell):
     settings = {**known, 'fit.method': 'output_error', **changes, 'bags': [bag]}
