@@ -25,9 +25,6 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStrea
 from bellows_ros.errors import BellowsError, is_name, shown
 import numpy as np
 
-MAX_MESSAGE_BYTES = 4096
-"""Largest size of a decoded message, bytes."""
-
 HEAD = b'\0\1\0\0'
 """Encapsulation of plain CDR in little-endian order."""
 
@@ -116,6 +113,7 @@ MOTIONS = frozenset(name for name, layout in LAYOUTS.items() if layout.pose or l
 """Types that hold a pose or a twist."""
 
 
+Frames = Sequence[tuple[str, ...]]
 Decoded = tuple[int, tuple[str, ...], Any]
 """Stamp (ns; `NO_STAMP` if invalid), frame names and doubles of a message."""
 
@@ -147,7 +145,7 @@ class Decoder:
                 stamp_ns = sec * NS_PER_S + nanosec if nanosec < NS_PER_S else NO_STAMP
                 return stamp_ns, self._names, content[4:]
         names, end = _strings(data, LAYOUTS[self._kind].strings)
-        if not end or data[:_STAMP_AT] != HEAD or not all(map(is_name, names)):
+        if not (end and all(map(is_name, names))):
             return None
         form, *_ = _form(self._kind, names)
         sizes, strings = range(form.size, form.size + _MAX_PADDING + 1), data[_STRINGS_AT:end]
@@ -167,7 +165,7 @@ def _form(kind: str, names: tuple[str, ...]) -> tuple[struct.Struct, bytes, byte
     at = len(data)
     for raw in (name.encode() + b'\0' for name in names):
         data += bytes(-len(data) % 4) + struct.pack('<I', len(raw)) + raw
-    padding = _doubles_at(len(data)) - len(data)
+    padding = (_STAMP_AT - len(data)) % 8  # doubles are aligned to 8, counted from the body
     return (struct.Struct(f'<{len(head)}siI{len(data) - at}s{padding}x{layout.doubles}d'), head,
             data[at:])
 
@@ -193,57 +191,50 @@ def pack(kind: str, names: tuple[str, ...], stamp_ns: int, *doubles: float) -> b
 
 
 def decode(
-    messages: Sequence[bytes], log_times_ns: Sequence[int], layout: Layout, part: slice,
-    numbers: dict[tuple[str, ...], int],
-) -> np.ndarray:
+    data: Sequence[bytes], log_times_ns: Sequence[int], kind: str, part: slice
+) -> tuple[np.ndarray, Frames]:
     """
     Decode messages of one type.
 
     Parameters
     ----------
-    messages : sequence of bytes (N,)
-        CDR with its four-byte head, of either endianness.
+    data : sequence of bytes (N,)
+        CDR with its four-byte head, in any encoding of rosbags.
     log_times_ns : sequence of int (N,)
         Time of recording of each message, ns.
-    layout : Layout
-        Layout of their type.
+    kind : str
+        One of `MOTIONS`.
     part : slice
         Range of the returned doubles.
-    numbers : dict
-        Indices of known frames; receives new ones.
 
     Returns
     -------
-    structured array (N,)
+    decoded : structured array (N,)
         Fields of `rows`; the frame is -1 if the message could not be decoded.
+    frames : list of tuple of str
+        Names of the frames by index.
 
     """
-    decoded = np.zeros(len(messages), rows(part.stop - part.start))
-    decoded['arrival'] = [min(max(x, 0), LATEST_NS) for x in log_times_ns]
-    decoded['frame'] = -1
-    groups, end = dict[tuple[int, bytes, bytes], tuple[tuple[str, ...], list[int]]](), 0
-    for i, message in enumerate(messages):  # of a group, only stamps and doubles differ
-        key = len(message), message[:_STAMP_AT], message[_STRINGS_AT:end]
-        if key not in groups:
-            names, end = _strings(message, layout.strings)
-            if not end:
-                continue
-            key = *key[:2], message[_STRINGS_AT:end]
-            groups.setdefault(key, (names, []))
-        groups[key][1].append(i)
-    for (size, head, strings), (names, members) in groups.items():
-        doubles_at = _doubles_at(_STRINGS_AT + len(strings))
-        padding = size - doubles_at - 8 * layout.doubles
-        if size > MAX_MESSAGE_BYTES or not 0 <= padding <= _MAX_PADDING:
-            continue
-        dtype = _dtype('<' if head[1] else '>', doubles_at, size, layout)
-        parts = np.frombuffer(b''.join([messages[i] for i in members]), dtype)
-        index = np.array(members)
-        decoded['stamp'][index] = parts['sec'].astype(np.int64) * NS_PER_S + parts['nanosec']
-        decoded['values'][index] = parts['doubles'][:, part]
-        sound = (parts['sec'] >= 0) & (parts['nanosec'] < NS_PER_S)
-        decoded['frame'][index[sound]] = numbers.setdefault(names, len(numbers))
-    return decoded
+    read, numbers = Decoder(kind), dict[tuple[str, ...], int]()
+    found = [read(each) or read(_converted(each, kind)) for each in data]
+    decoded = np.zeros(len(data), rows(part.stop - part.start))
+    decoded['arrival'] = [min(max(each, 0), LATEST_NS) for each in log_times_ns]
+    decoded['frame'] = [numbers.setdefault(each[1], len(numbers)) if each else -1
+                        for each in found]
+    good = np.flatnonzero(decoded['frame'] >= 0)
+    decoded['stamp'][good] = [each[0] for each in found if each]
+    decoded['values'][good] = np.array([each[2][part] for each in found if each]).reshape(
+        len(good), part.stop - part.start)
+    return decoded, list(numbers)
+
+
+def _converted(data: bytes, kind: str) -> bytes:
+    """Return a message as plain little-endian CDR, empty if damaged."""
+    try:
+        return bytes(message_types().serialize_cdr(
+            message_types().deserialize_cdr(data, kind), kind))
+    except Exception:  # noqa: BLE001 (damaged bytes make readers raise anything)
+        return b''
 
 
 def rows(width: int) -> np.dtype[np.void]:
@@ -252,14 +243,14 @@ def rows(width: int) -> np.dtype[np.void]:
 
 
 def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
-    """Return the strings after a stamp, and the position of their end; (), 0 for damaged ones."""
+    """Return the strings after a stamp, and the position of their end; (), 0 unless plain CDR."""
     names, at = list[str](), _STRINGS_AT
-    if message[:2] not in (b'\0\0', b'\0\1'):
+    if message[:_STAMP_AT] != HEAD:
         return (), 0
     try:
         for _ in range(count):
             at += -at % 4
-            (size,) = struct.unpack_from('<I' if message[1] else '>I', message, at)
+            (size,) = struct.unpack_from('<I', message, at)
             raw, at = message[at + 4:at + 4 + size], at + 4 + size
             if len(raw) != size or raw[-1:] != b'\0':
                 return (), 0
@@ -267,20 +258,6 @@ def _strings(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
     except (struct.error, UnicodeDecodeError):
         return (), 0
     return tuple(names), at
-
-
-def _doubles_at(end: int) -> int:
-    """Return the position of the doubles after strings: aligned to 8, counted from the body."""
-    return end + (_STAMP_AT - end) % 8
-
-
-def _dtype(order: str, doubles_at: int, size: int, layout: Layout) -> np.dtype[np.void]:
-    """Return the memory layout of messages with a byte order and a size."""
-    return np.dtype({
-        'names': ['sec', 'nanosec', 'doubles'],
-        'formats': [f'{order}i4', f'{order}u4', (f'{order}f8', (layout.doubles,))],
-        'offsets': [_STAMP_AT, _STAMP_AT + 4, doubles_at],
-        'itemsize': size})
 
 
 def encode(
@@ -309,7 +286,6 @@ def encode(
 
 
 Refused = dict[str, tuple[int, ...]]
-Frames = Sequence[tuple[str, ...]]
 
 REASONS: Mapping[str, str] = tomllib.loads(
     Path(__file__).with_name('refusals.toml').read_text())
@@ -340,11 +316,10 @@ def stream_of(
     is_twist = role.endswith('twist')
     part = (layout.twist if is_twist else layout.pose) or slice(0)
     part = slice(part.start, part.stop + layout.pose_covariance * is_measured)
-    frames: dict[tuple[str, ...], int] = {}
-    decoded = decode(data, log_times_ns, layout, part, frames)
+    decoded, frames = decode(data, log_times_ns, kind, part)
     order = np.argsort(decoded['stamp' if is_measured else 'arrival'], kind='stable')
     make = twist_stream if is_twist else pose_stream
-    stream: PoseStream | TwistStream = make(name, decoded[order], list(frames))
+    stream: PoseStream | TwistStream = make(name, decoded[order], frames)
     if not len(stream):
         raise BellowsError(
             f'has no usable message. Of {len(decoded)}: {describe(stream.refused)}. Check what '
@@ -416,9 +391,9 @@ def _drop_invalid(
 ) -> tuple[Stamps, tuple[str, ...], Refused]:
     """Return the indices of the usable messages, their frames, and the others by reason."""
     finite = np.isfinite(values).all(axis=1)
-    tests = {
+    tests: dict[str, Any] = {
         'malformed': decoded['frame'] < 0,
-        'zero_stamp': decoded['stamp'] == 0,
+        'zero_stamp': decoded['stamp'] <= 0,
         'nan': ~finite,
         'out_of_range': finite & (np.abs(lengths) > 1e6).any(axis=1),
         **unusable}
