@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from ruamel.yaml import YAML
 
+from .cell.sensors import TOPICS
+
 NAMES = ('identification', 'validation', 'static', 'rubber')
-TOPICS = {'tool_pose': '/tool_arm/pose', 'tool_twist': '/tool_arm/twist',
-          'package_pose': '/package/pose'}
 
 
 @pytest.fixture(scope='module')

@@ -4,9 +4,14 @@ A second, slow implementation of the model: 6x6 matrices as the thesis prints th
 Poses and twists may have leading axes, one package each.
 """
 
+from types import SimpleNamespace
+
 from bellows_ros.core.geometry.lie import adjoint, apply, hat, inverse_transform, transform
 import numpy as np
 from scipy.integrate import solve_ivp
+
+from ..cell.cup import GRAVITY_VECTOR
+from ..cell.motion import Move
 
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -129,3 +134,40 @@ def solve(cup, package, gravity, tool_at, T_start, v_start, times, strains=()):
     out = solve_ivp(slope, (times[0], times[-1]), y0, 'DOP853', times, rtol=3e-13, atol=1e-13)
     assert out.success, out.message
     return out.y[:3].T, out.y[3:12].T.reshape(-1, 3, 3), out.y[12:18].T
+
+
+class Batch:
+    """Many packages on one cup, each under its own move: the printed formulas, broadcast."""
+
+    def __init__(self, cup, moves, packages):
+        self.cup, self.packages = cup, SimpleNamespace(**{
+            name: np.array([getattr(package, name) for package in packages])
+            for name in ('mass', 'com', 'inertia')})
+        self.moves = Move(*(np.array([getattr(move, name) for move in moves])
+                            for name in ('way', 'turn', 'duration')))
+
+    def tools(self, t):
+        """Return poses (N, 4, 4) and body twists (N, 6) of the tools at a time (s)."""
+        o, R, v = self.moves.at(t)
+        return transform(R, o), v
+
+    def run(self, T, v, duration, steps):
+        """Yield time, tools, poses, twists and wrenches of all after every step of plain RK4."""
+        h, tools = duration / steps, self.tools(0.0)
+        for k in range(steps + 1):
+            wrench = lip_wrench(self.cup, self.packages, *tools, T, v)
+            yield k * h, tools, T, v, wrench
+            middle, end = self.tools((k + 0.5) * h), self.tools((k + 1) * h)
+            a1 = self.rates(tools, T, v)
+            a2 = self.rates(middle, T + 0.5 * h * a1[0], v + 0.5 * h * a1[1])
+            a3 = self.rates(middle, T + 0.5 * h * a2[0], v + 0.5 * h * a2[1])
+            a4 = self.rates(end, T + h * a3[0], v + h * a3[1])
+            T, v = (x + h / 6 * (b1 + 2 * b2 + 2 * b3 + b4)
+                    for x, b1, b2, b3, b4 in zip((T, v), a1, a2, a3, a4, strict=True))
+            tools = end
+
+    def rates(self, tools, T, v):
+        """Return the rates of poses (N, 4, 4), entry by entry, and of twists."""
+        twist = np.zeros((len(v), 4, 4))
+        twist[:, :3, :3], twist[:, :3, 3] = hat(v[:, 3:]), v[:, :3]
+        return T @ twist, acceleration(self.cup, self.packages, GRAVITY_VECTOR, *tools, T, v)

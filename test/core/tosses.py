@@ -7,7 +7,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from . import oracle
-from .plans import CUP, GRAVITY, Move, VALUES
+from ..cell.cup import CUP, GRAVITY_VECTOR, VALUES
+from ..cell.motion import Move
 
 PACKAGE = Package(1.8, np.diag([0.00438, 0.00654, 0.00984]), (0.004, -0.003, -0.03))
 HALF = np.array([0.11, 0.09, 0.06])
@@ -80,7 +81,8 @@ def integrate(start, switched, law, height, grip=GRIP):
     def slope(t, y):
         T, v = parts(y)
         o_E, R_E, v_E = tool_at(t)
-        dv = oracle.acceleration(cup_at(T, t), package, GRAVITY, transform(R_E, o_E), v_E, T, v)
+        dv = oracle.acceleration(
+            cup_at(T, t), package, GRAVITY_VECTOR, transform(R_E, o_E), v_E, T, v)
         return np.concatenate([T[:3, :3] @ v[:3], (T[:3, :3] @ hat(v[3:])).ravel(), dv])
 
     def margin(t, y):
@@ -93,7 +95,7 @@ def integrate(start, switched, law, height, grip=GRIP):
     def falling(t, y):
         T, v = parts(y)
         R, w, inertia = T[:3, :3], v[3:], package.inertia
-        dv = R.T @ GRAVITY - np.cross(w, v[:3])
+        dv = R.T @ GRAVITY_VECTOR - np.cross(w, v[:3])
         dw = np.linalg.solve(inertia, -np.cross(w, inertia @ w))
         return np.concatenate([R @ v[:3], (R @ hat(w)).ravel(), dv, dw])
 

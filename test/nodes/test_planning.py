@@ -21,11 +21,11 @@ from std_msgs.msg import Bool, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
 from .conftest import LATCHED, MS, set_on, stamp_ns, START
-from ..core import plans
+from ..cell.cup import CUP, GRIP, PACKAGE, VALUES
+from ..cell.motion import Move
 from ..core.planning.arms import UR5E, UR5E_START
-from ..core.plans import CUP, GRIP, Move, PACKAGE
 
-VALUES = plans.VALUES.replaced({
+VALUES = VALUES.replaced({
     'cup.lip_radius': 0.02, 'vacuum.holding': 60e3, 'tool_twist.frame': 'tool'})
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 MOVE = Move([0.3, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)

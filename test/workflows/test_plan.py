@@ -18,15 +18,15 @@ from numpy.testing import assert_allclose
 import pytest
 
 from .test_convert import write_tum
+from ..cell.cup import VALUES
+from ..cell.motion import Move
 from ..conftest import ROOT
-from ..core import plans
 from ..core.planning.test_arm import URDF
-from ..core.plans import Move
 from ..files.recordings import header, POSE, serialized, TWIST, write
 from ..files.yaml_plans import cartesian, plan_messages
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
-VALUES = plans.VALUES.replaced({
+VALUES = VALUES.replaced({
     'cup.lip_radius': 0.025, 'vacuum.holding': 6e4, 'package.mass_std': 0.01})
 T0 = 1_700_000_000_000_000_000
 FIGURES = ('smallest_safety_factor', 'peak_bending', 'peak_force', 'peak_moment', 'swing_left')

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-TOPICS = {'tool_pose': '/tool_arm/pose', 'tool_twist': '/tool_arm/twist',
-          'package_pose': '/package/pose'}
+from ..cell.sensors import TOPICS
 
 
 @pytest.fixture(scope='module')

@@ -15,27 +15,28 @@ from bellows_ros.workflows.replay import replay
 import numpy as np
 import pytest
 
-from ..core.identification.simulated import CUP, HELD, shake
+from ..cell.cup import PLATE, THESIS
+from ..cell.motion import shake
 from ..files.recordings import EPOCH_NS, POSE
 from ..files.test_detections import calibration, detections, encoded, LENSES, MATRIX, pixel
 
 SIDE, LATE_NS, NO_LENS = 0.06, 25_000_000, np.zeros(5)
 EYE, TAG = np.array([0.9, 0.15, 0.1]), np.array([0.1, 0.01, 0.0])
 CORNERS = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-SHOWN, TRUE = [0, 2, 3, 5], np.diag(CUP.stiffness)[[0, 2, 3, 5]]
+SHOWN, TRUE = [0, 2, 3, 5], np.diag(THESIS.stiffness)[[0, 2, 3, 5]]
 GIVEN = {
     'topics.tool_pose': '/tool', 'topics.package_pose': '/detections',
     'recording.package_world': 'estimate', 'fit.free': ['time_offset', 'package_marker', 'scale'],
     'recording.package_frame': 'com', 'recording.align_at_rest': False,
-    'measured.tag_size': SIDE, 'package.mass': HELD.mass, 'package.com': HELD.com.tolist(),
-    'package.inertia': [*np.diag(HELD.inertia), 0.0, 0.0, 0.0], 'cup.length': CUP.length}
+    'measured.tag_size': SIDE, 'package.mass': PLATE.mass, 'package.com': PLATE.com.tolist(),
+    'package.inertia': [*np.diag(PLATE.inertia), 0.0, 0.0, 0.0], 'cup.length': THESIS.length}
 
 
 @pytest.fixture(scope='module')
 def motion():
     """Return the true motion of tool and package every millisecond."""
     tool = shake(duration=16.0).at_rate(1000.0, EPOCH_NS)
-    return tool, simulate(CUP, HELD, tool)
+    return tool, simulate(THESIS, PLATE, tool)
 
 
 def images(package, k=NO_LENS, readout=0.0):

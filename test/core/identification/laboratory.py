@@ -15,7 +15,8 @@ from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStr
 import numpy as np
 from scipy.signal import butter, lfilter
 
-from .simulated import GRAVITY, shake
+from ...cell.cup import GRAVITY
+from ...cell.motion import shake
 
 Y_UP = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 NOISES = ((2e-5, 5e-5), (1e-4, 3e-4), (1e-4, 5e-4), (3e-4, 1e-3))

@@ -29,7 +29,8 @@ from scipy.signal import butter, lfilter
 
 from . import laboratory
 from .laboratory import COLOUR, FAULTS, parameters
-from .simulated import record, shake
+from ...cell.motion import shake
+from ...cell.sensors import record
 from ...faults import outcome
 
 pytestmark = pytest.mark.skipif(

@@ -16,9 +16,9 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from .recordings import GRAVITY, PLATE, Shake
-from ..cases import random_cup
-from ..motions import with_errors
+from ...cell.cup import GRAVITY, PLATE, random_cup
+from ...cell.motion import Shake
+from ...cell.sensors import with_errors
 
 TRUTH = Cup.thesis()
 AXISYMMETRIC = STRUCTURES['axisymmetric']

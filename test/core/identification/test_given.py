@@ -19,7 +19,6 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .recordings import GRAVITY, PLATE, Shake
 from .test_output_error import (
     AXISYMMETRIC,
     CAMERA,
@@ -30,7 +29,9 @@ from .test_output_error import (
     scaled,
     TRUTH,
 )
-from ..motions import with_errors
+from ...cell.cup import GRAVITY, PLATE
+from ...cell.motion import Shake
+from ...cell.sensors import with_errors
 
 QUIET = {'package_noise': (1e-4, 5e-4), 'package_hz': 60.0}
 CAPTURED = {'tool_noise': CAPTURE, 'package_noise': CAPTURE, 'package_hz': 100.0}

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .recordings import GRAVITY, PLATE, Shake
-from ..motions import noisy
+from ...cell.cup import GRAVITY, PLATE
+from ...cell.motion import Shake
+from ...cell.sensors import noisy
 
 ONE = Cup(np.diag([900.0, 900.0, 1500.0, 1.2, 1.2, 0.5]),
           np.diag([12.0, 12.0, 9.0, 0.02, 0.02, 0.02]), 0.0481)

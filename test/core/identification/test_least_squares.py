@@ -18,10 +18,10 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from . import simulated
-from .recordings import Shake
 from .. import oracle
-from ..cases import random_cup, random_package
+from ...cell.cup import random_cup, random_package, THESIS
+from ...cell.motion import Shake, shake
+from ...cell.sensors import least_squares, record
 
 GRAVITY = 9.81
 
@@ -50,7 +50,7 @@ def exact():
 
 def test_full_matrices_are_recovered_exactly_from_exact_accelerations(exact):
     cup, _, samples = exact
-    fit = simulated.least_squares([samples], cup.length, STRUCTURES['full'])
+    fit = least_squares([samples], cup.length, STRUCTURES['full'])
     assert_allclose(fit.stiffness, cup.stiffness, rtol=0, atol=1e-8 * cup.stiffness.max())
     assert_allclose(fit.damping, cup.damping, rtol=0, atol=1e-8 * cup.damping.max())
     assert fit.usable
@@ -85,7 +85,7 @@ def test_equals_the_printed_solution_with_the_printed_weights(exact, name):
     cup, _, samples = exact
     structure = STRUCTURES[name]
     samples = noisy(samples, np.random.default_rng(1))
-    fit = simulated.least_squares([samples], cup.length, structure)
+    fit = least_squares([samples], cup.length, structure)
     c = needed_wrench(samples.payload, samples.package, GRAVITY)
     beta = c - c.mean(axis=0)
     Q = beta.T @ beta / (len(c) - 1)  # (4.69), (4.70)
@@ -112,7 +112,7 @@ def test_equals_the_printed_solution_with_the_printed_weights(exact, name):
 def test_standard_errors_are_those_of_repeated_noise(round_cup):
     rng = np.random.default_rng(5)
     structure = STRUCTURES['axisymmetric']
-    fits = [simulated.least_squares([noisy(round_cup, rng)], 0.0481, structure) for _ in range(60)]
+    fits = [least_squares([noisy(round_cup, rng)], 0.0481, structure) for _ in range(60)]
     found = np.array([structure.parameters(f.stiffness, f.damping) for f in fits])
     variances = np.array([np.diag(f.covariance) for f in fits])
     known = np.isfinite(variances)
@@ -125,11 +125,11 @@ def test_standard_errors_are_those_of_repeated_noise(round_cup):
 def test_noise_of_motion_capture_biases_little():
     """Without compensation of noise: K within 2 %, P within 10 % on average."""
     structure, errors = STRUCTURES['axisymmetric'], []
-    truth = structure.parameters(simulated.CUP.stiffness, simulated.CUP.damping)
+    truth = structure.parameters(THESIS.stiffness, THESIS.damping)
     for seed in range(8):
-        fit = simulated.least_squares([samples_of(simulated.record(
-            simulated.shake(), tool=(2e-5, 5e-5), package=(1e-4, 5e-4), seed=seed,
-            rate_hz=360.0))], simulated.CUP.length, structure)
+        fit = least_squares([samples_of(record(
+            shake(), tool=(2e-5, 5e-5), package=(1e-4, 5e-4), seed=seed,
+            rate_hz=360.0))], THESIS.length, structure)
         errors.append(fit.parameters / truth - 1.0)
         assert np.all(np.abs(fit.parameters - truth) < 4.0 * np.sqrt(np.diag(fit.covariance)))
     assert np.all(np.abs(np.mean(errors, axis=0)) < np.repeat([0.02, 0.1], 4))
@@ -138,16 +138,16 @@ def test_noise_of_motion_capture_biases_little():
 def test_too_few_samples(exact):
     cup, _, samples = exact
     with pytest.raises(BellowsError, match=r'\b5\b.* 42\b'):
-        simulated.least_squares([first(samples, 5)], cup.length, STRUCTURES['full'])
+        least_squares([first(samples, 5)], cup.length, STRUCTURES['full'])
 
 
 @pytest.mark.parametrize('name', ['axisymmetric', 'diagonal', 'full'])
 def test_parameters_without_motion_are_not_identifiable(name):
     """Shake a cup along x only: nothing turns about z."""
-    cup = simulated.CUP
-    samples = samples_of(simulated.record(simulated.shake(axes=(0,), duration=6.0)))
+    cup = THESIS
+    samples = samples_of(record(shake(axes=(0,), duration=6.0)))
     structure = STRUCTURES[name]
-    fit = simulated.least_squares([samples], cup.length, structure)
+    fit = least_squares([samples], cup.length, structure)
     unknown = {label for label, variance in zip(
         structure.labels, np.diag(fit.covariance), strict=True) if np.isinf(variance)}
     assert {'K rz', 'P rz'} <= unknown
@@ -162,7 +162,7 @@ def test_indefinite_matrix_is_reported_and_not_changed(exact):
     cup, _, samples = exact
     upside_down = replace(samples, gravity=-GRAVITY, package=replace(
         samples.package, acceleration=-samples.package.acceleration))
-    fit = simulated.least_squares([upside_down], cup.length, STRUCTURES['full'])
+    fit = least_squares([upside_down], cup.length, STRUCTURES['full'])
     assert not fit.usable
     assert np.linalg.eigvalsh(fit.stiffness)[0] < 0.0
     first = fit.findings[0]

@@ -14,25 +14,27 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from . import simulated
+from ...cell.cup import PLATE, THESIS
+from ...cell.motion import shake
+from ...cell.sensors import least_squares, record
 
 ROUND = STRUCTURES['axisymmetric']
-VALUES = resolve({'fit.method': 'least_squares', 'cup.length': simulated.CUP.length,
-                  'package.mass': simulated.HELD.mass})
+VALUES = resolve({'fit.method': 'least_squares', 'cup.length': THESIS.length,
+                  'package.mass': PLATE.mass})
 
 
 def test_the_output_error_starts_from_a_known_damping_where_least_squares_finds_none():
     """Start positive with a tool that is stamped 8 ms late, which turns damping negative."""
-    recording = simulated.record(simulated.shake(seed=3), later=0.008)
+    recording = record(shake(seed=3), later=0.008)
     samples = [samples_of(recording)]
-    result = simulated.least_squares(samples, simulated.CUP.length, ROUND)
+    result = least_squares(samples, THESIS.length, ROUND)
     found, std = np.diag(result.damping), np.diag(result.damping_std)
-    parts = [statistics(own, simulated.CUP.length, ROUND) for own in samples]
-    start = start_cup(parts, simulated.CUP)
+    parts = [statistics(own, THESIS.length, ROUND) for own in samples]
+    start = start_cup(parts, THESIS)
     assert np.any(found < 0.0)
     assert_allclose(
         np.diag(start.damping),
-        np.where((found < 0.0) | np.isinf(std), np.diag(simulated.CUP.damping), found))
+        np.where((found < 0.0) | np.isinf(std), np.diag(THESIS.damping), found))
 
 
 TOO_LITTLE = pytest.raises(BellowsError, match='K rz')
@@ -46,7 +48,7 @@ def test_motion_is_too_little_where_neither_a_misfit_nor_noise_hides_the_damping
     chi2, certain, std, ends, monkeypatch
 ):
     """Noise may hide the damping of a stiff cup that no weight turns: then its K rz is known."""
-    recording = simulated.record(simulated.shake(seed=3))
+    recording = record(shake(seed=3))
     found = fitting.fitted([recording], VALUES)
     unknown = replace(
         found, method='output_error', robust_chi2=chi2,

@@ -28,8 +28,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .recordings import GRAVITY, PLATE, Shake
-from ..motions import noisy, with_errors
+from ...cell.cup import GRAVITY, PLATE
+from ...cell.motion import Shake
+from ...cell.sensors import noisy, with_errors
 
 TRUTH = Cup.thesis()
 AXISYMMETRIC = STRUCTURES['axisymmetric']

@@ -17,11 +17,13 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from . import simulated
 from .test_output_error import measured
 from ..drops import SHARED
+from ...cell.cup import GRAVITY, PLATE, THESIS
+from ...cell.motion import shake, standstills
+from ...cell.sensors import record
 
-G = simulated.GRAVITY
+G = GRAVITY
 
 TILTS = [(0.3, 0.0, 0.0), (0.0, -0.3, 0.0), (0.2, 0.2, 1.0), (0.0, 0.0, 0.0)]
 
@@ -31,25 +33,25 @@ NOISE = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
 @pytest.fixture(scope='module')
 def tilted():
     """Return a recording of a start at rest and four poses, held for 3.5 s after 0.8 s each."""
-    return simulated.record(simulated.standstills(TILTS, hold=3.5), **NOISE)
+    return record(standstills(TILTS, hold=3.5), **NOISE)
 
 
 def upright(length, mass, tilt=0.0, error=1e-6):
     """Return a standstill of a cup of known length."""
     c, s = np.cos(tilt), np.sin(tilt)
     R = np.array([[[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]])
-    com = np.asarray(simulated.HELD.com)
+    com = np.asarray(PLATE.com)
     at = np.array([0])
     tool = Trajectory(at, np.zeros((1, 3)), R)
     package = Trajectory(at, (R[0] @ (com - [0.0, 0.0, length]))[None], R)
     return Standstill(0, 1.0, tool, package, 100, Noise(error, error), replace(
-        simulated.HELD, mass=mass))  # at rest its inertia takes no part
+        PLATE, mass=mass))  # at rest its inertia takes no part
 
 
 def test_every_standstill_is_found_without_the_swinging_before_it(tilted):
     found, failed = standstills_of(tilted)
     assert len(found) == 5 and failed == 0
-    motion = simulated.standstills(TILTS, hold=3.5)
+    motion = standstills(TILTS, hold=3.5)
     for number, still in enumerate(found):
         begin = 4.3 * number
         start = still.start_ns * 1e-9
@@ -64,8 +66,8 @@ def test_every_standstill_is_found_without_the_swinging_before_it(tilted):
 
 def test_rubber_that_creeps_counts_where_it_comes_to_rest():
     """Find the static equilibrium of a cup that still creeps when its standstill ends."""
-    cup = Cup(simulated.CUP.stiffness, simulated.CUP.damping, simulated.CUP.length, (0.15, 0.2))
-    creeping = simulated.record(simulated.standstills(TILTS, hold=3.5), cup, **NOISE)
+    cup = Cup(THESIS.stiffness, THESIS.damping, THESIS.length, (0.15, 0.2))
+    creeping = record(standstills(TILTS, hold=3.5), cup, **NOISE)
     found, _ = standstills_of(creeping)
     for still in found[1:]:
         shown = still.lip[3:] @ still.creep[3:]
@@ -74,14 +76,14 @@ def test_rubber_that_creeps_counts_where_it_comes_to_rest():
 
 
 def test_standstills_too_short_for_the_package_are_counted():
-    short = simulated.record(simulated.standstills(TILTS, hold=1.6), **NOISE)
+    short = record(standstills(TILTS, hold=1.6), **NOISE)
     found, failed = standstills_of(short)
     assert failed == len(TILTS) + 1 - len(found) > 0
 
 
 def test_a_motion_without_rest_has_no_standstill():
-    motion = simulated.shake(duration=6.0, rest=0.3)
-    recording = simulated.record(motion)
+    motion = shake(duration=6.0, rest=0.3)
+    recording = record(motion)
     with pytest.raises(BellowsError, match=r'\b0\.5 s\b'):
         standstills_of(recording)
 
@@ -173,15 +175,15 @@ def test_lengths_that_do_not_depend_on_the_load_are_refused():
 @functools.cache
 def resting(seed):
     """Return standstills in several poses."""
-    return standstills_of(simulated.record(
-        simulated.standstills(TILTS, hold=3.5), seed=seed, **NOISE))[0]
+    return standstills_of(record(
+        standstills(TILTS, hold=3.5), seed=seed, **NOISE))[0]
 
 
 def problem_at_rest(free, seed=1, standstills=None):
     """Return the problem of a motion with standstills, and the unknowns of the truth."""
     own = measured(seed, tool_hz=100.0, duration=6.0)
     problem = Problem.of(
-        [Segment.of(own)], STRUCTURES['full'], simulated.CUP, weak_prior(free),
+        [Segment.of(own)], STRUCTURES['full'], THESIS, weak_prior(free),
         standstills=standstills or resting(seed))
     return problem, problem.start
 

@@ -17,8 +17,10 @@ from bellows_ros.errors import UndeterminedError
 import numpy as np
 import pytest
 
-from .simulated import CUP, GRAVITY, LINES, record, shake, standstills
 from .. import fem
+from ...cell.cup import GRAVITY, THESIS
+from ...cell.motion import LINES, shake, standstills
+from ...cell.sensors import record
 
 VALUES = {
     'cup.length': fem.LENGTH, 'package.mass': 1.8, 'package.com': [0.0, 0.0, -0.03],
@@ -140,10 +142,10 @@ def test_output_error_seldom_extends_the_law_of_an_axisymmetric_cup():
     for seed in range(40):
         recording = record(shake(duration=6.0, seed=seed), tool=(1e-4, 5e-4),
                            package=(1e-4, 5e-4), rate_hz=100.0, seed=seed)
-        fits = [fitted([recording], cup__length=CUP.length, **kind)[0] for kind in (
+        fits = [fitted([recording], cup__length=THESIS.length, **kind)[0] for kind in (
             {}, {'fit__structure': 'axisymmetric', 'fit__stretch': 'off'})]
         chosen.append([fits[0].structure == 'axisymmetric_coupled', any(fits[0].stretch)])
-        errors.append([np.diag(fit.stiffness) / np.diag(CUP.stiffness) - 1.0 for fit in fits])
+        errors.append([np.diag(fit.stiffness) / np.diag(THESIS.stiffness) - 1.0 for fit in fits])
     assert np.mean(chosen, axis=0).max() <= 0.05
     auto, simple = np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
     assert auto <= 1.05 * simple
@@ -156,7 +158,7 @@ def test_a_cup_of_the_law_has_no_stretch():
     light = record(shake(duration=6.0, seed=2), payload=fem.package(1.0), tool=(1e-4, 5e-4),
                    package=(1e-4, 5e-4), rate_hz=100.0)
     with pytest.raises(UndeterminedError, match='fit.stretch'):
-        fitted([heavy, light], fit__stretch='on', cup__length=CUP.length)
+        fitted([heavy, light], fit__stretch='on', cup__length=THESIS.length)
 
 
 def main():

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from . import simulated
+from ...cell.cup import THESIS
+from ...cell.motion import shake
+from ...cell.sensors import record
 
 RATE = 240.0
 PACKAGE = Package(2.0, np.diag([0.008, 0.009, 0.016]), np.array([0.0, 0.0, -0.03]))
@@ -26,7 +28,7 @@ G = 9.81
 
 def tool_motion(duration=8.0, at_rest=1.0):
     """Return a tool that moves in all directions after standing still, by its formula."""
-    return simulated.shake(duration=duration, rest=at_rest).at_rate(RATE, 0)
+    return shake(duration=duration, rest=at_rest).at_rate(RATE, 0)
 
 
 def stream(name, motion, noise, rng, kept):
@@ -71,9 +73,9 @@ def test_noise_explains_the_error_of_the_true_cup(judged):
 @pytest.mark.parametrize('kept', [0.0, 0.75])
 def test_noise_of_poses_too_slow_for_a_stride_is_known_by_a_standstill(kept):
     """Find a memory of 30 ms at 120 Hz, and none where there is none."""
-    motion = simulated.shake(duration=10.0, rest=2.0)
+    motion = shake(duration=10.0, rest=2.0)
     sizes = (5e-4, 2.5e-3)
-    recorded = simulated.record(motion, tool=sizes, package=sizes, kept=kept)
+    recorded = record(motion, tool=sizes, package=sizes, kept=kept)
     for noise in recorded.body_noise:
         assert_allclose(noise.std, np.repeat(sizes, 3), rtol=0.15)
         assert_allclose(noise.correlation, kept, atol=0.1)
@@ -171,18 +173,18 @@ def lost(stream, *spans):
 @pytest.mark.parametrize('kept', [0.0, 0.8])
 def test_the_true_cup_is_right_behind_gaps_of_either_body(tool_gaps, package_gaps, kept):
     """Each gap of the tool that cannot be bridged begins a segment with a fitted first state."""
-    sound = simulated.record(simulated.shake(duration=9.0, seed=2), tool=(2e-5, 5e-5),
-                             package=(1e-4, 5e-4), rate_hz=240.0, kept=kept)
+    sound = record(shake(duration=9.0, seed=2), tool=(2e-5, 5e-5), package=(1e-4, 5e-4),
+                   rate_hz=240.0, kept=kept)
     recording = prepare(
         lost(sound.tool_pose, *tool_gaps) if tool_gaps else sound.tool_pose,
         lost(sound.package_pose, *package_gaps) if package_gaps else sound.package_pose,
         sound.settings)
-    found = validate(simulated.CUP, recording)
+    found = validate(THESIS, recording)
     assert len(found.runs) == 1 + len(tool_gaps)
     assert found.worse_than_noise == ()
     assert np.all(found.scores.rms < 1.5 * found.noise)
     assert sum(each.numbers['what'] == 'begins anew after'
                for each in found.findings) == len(tool_gaps)
-    wrong = validate(Cup(0.8 * simulated.CUP.stiffness, simulated.CUP.damping,
-                         simulated.CUP.length), recording)
+    wrong = validate(Cup(0.8 * THESIS.stiffness, THESIS.damping,
+                         THESIS.length), recording)
     assert wrong.worse_than_noise

@@ -12,9 +12,10 @@ from bellows_ros.workflows.recordings import prepare_settings, prepare_streams
 import numpy as np
 import pytest
 
-from . import simulated
-from .recordings import PLATE
 from .test_output_error import measured
+from ...cell.cup import PLATE, THESIS
+from ...cell.motion import shake, standstills
+from ...cell.sensors import record
 
 LATE_NS = 40_000_000
 
@@ -67,12 +68,12 @@ NOISE = {'tool': (2e-5, 5e-5), 'package': (1e-4, 5e-4)}
 
 SOFT = Cup(
     np.diag([2100.0, 2100.0, 3900.0, 1.6, 1.6, 0.7]),
-    np.diag([14.0, 14.0, 9.0, 0.02, 0.02, 0.03]), simulated.CUP.length)
+    np.diag([14.0, 14.0, 9.0, 0.02, 0.02, 0.03]), THESIS.length)
 
 
 def reported(recording, **settings):
     """Return the report of a recording that is prepared with some settings."""
-    values = resolve({'cup.length': simulated.CUP.length, 'fit.structure': 'axisymmetric',
+    values = resolve({'cup.length': THESIS.length, 'fit.structure': 'axisymmetric',
                       **{name.replace('__', '.'): value for name, value in settings.items()}})
     return prepare_streams({
         'tool_pose': recording.tool_pose, 'package_pose': recording.package_pose
@@ -86,26 +87,26 @@ def found(recording, structure='axisymmetric'):
 
 @pytest.mark.parametrize('later', [-0.19, -0.0002, 0.0, 0.048, 0.24])
 def test_an_offset_is_found_without_noise(later):
-    recording = simulated.record(simulated.shake(seed=3), later=later)
+    recording = record(shake(seed=3), later=later)
     assert abs(found(recording).value - later) < 1e-5
 
 
-@pytest.mark.parametrize(('cup', 'structure'), [(simulated.CUP, 'full'), (SOFT, 'axisymmetric')])
+@pytest.mark.parametrize(('cup', 'structure'), [(THESIS, 'full'), (SOFT, 'axisymmetric')])
 def test_error_under_noise_agrees_with_the_stated_size(cup, structure):
-    recording = simulated.record(simulated.shake(seed=3), cup=cup, seed=5, later=0.0123, **NOISE)
+    recording = record(shake(seed=3), cup=cup, seed=5, later=0.0123, **NOISE)
     offset = found(recording, structure)
     assert offset.std < 1e-4
     assert abs(offset.value - 0.0123) < 4.0 * offset.std
 
 
 def test_standstills_do_not_tell_it():
-    recording = simulated.record(simulated.standstills([(0.0, 0.0, 0.0)]), **NOISE)
+    recording = record(standstills([(0.0, 0.0, 0.0)]), **NOISE)
     assert found(recording) is None
 
 
 def test_least_squares_takes_no_world_that_is_hardly_known():
-    recording = simulated.record(
-        simulated.shake(axes=(2,), duration=4.0), tool=(0.01, 0.05), package=(0.01, 0.05))
+    recording = record(
+        shake(axes=(2,), duration=4.0), tool=(0.01, 0.05), package=(0.01, 0.05))
     with pytest.raises(BellowsError, match=r'recording\.package_world'):
         reported(recording, recording__package_world='estimate', fit__method='least_squares')
 
@@ -113,7 +114,7 @@ def test_least_squares_takes_no_world_that_is_hardly_known():
 def test_a_marker_that_rest_aligns_is_found_with_the_world():
     """The first guess of the world is too rough to align the marker by."""
     tilts = [(0.25, 0.0, 0.1), (-0.15, 0.2, 0.5), (-0.1, -0.25, -0.4), (0.0, 0.0, 0.0)]
-    recording = simulated.record(simulated.standstills(tilts, hold=1.2), **NOISE)
+    recording = record(standstills(tilts, hold=1.2), **NOISE)
     R, marker = exp_so3(np.array([0.2, -0.3, 1.0])), exp_so3(np.array([0.05, -0.08, 0.4]))
     poses = recording.package_pose
     seen = replace(poses, position=poses.position @ R, rotation=R.T @ poses.rotation @ marker)

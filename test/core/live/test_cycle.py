@@ -6,7 +6,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 import pytest
 
-from ..cases import MS, START, UPRIGHT
+from ...cell.motion import MS, START, UPRIGHT
 
 VALUES = {
     'package.mass': 1.8, 'package.inertia': [0.005, 0.008, 0.01, 0.0, 0.0, 0.0],

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import MS, PLATE, START, UPRIGHT
+from ...cell.cup import PLATE
+from ...cell.motion import MS, START, UPRIGHT
 
 PERIOD = 2 * MS
 HEAVY = Package(25.0, np.diag([1.0, 1.0, 1.0]), (0.02, 0.0, -0.2))

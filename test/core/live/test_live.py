@@ -12,8 +12,9 @@ from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 import pytest
 
-from .. import cases
-from ..cases import MS, PLATE, START, UPRIGHT
+from ...cell.cup import PLATE
+from ...cell.motion import MS, ShakenTool, START, UPRIGHT
+from ...cell.sensors import sent_by
 
 PERIOD = 2_777_778
 
@@ -22,8 +23,8 @@ class Messages:
     """A tool motion as messages: stamps, poses and twists in world axes."""
 
     def __init__(self):
-        self.tool = cases.ShakenTool(np.random.default_rng(4)).trajectory(1.0, 360)
-        self.stamps, self.positions, self.quaternions, self.linear, self.angular = cases.messages(
+        self.tool = ShakenTool(np.random.default_rng(4)).trajectory(1.0, 360)
+        self.stamps, self.positions, self.quaternions, self.linear, self.angular = sent_by(
             self.tool, START, in_world=True)
 
     def __len__(self):

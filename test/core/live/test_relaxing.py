@@ -16,9 +16,10 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import messages
-from ..plans import CUP, Move, PACKAGE
 from ..tosses import GRIP, values
+from ...cell.cup import CUP, PACKAGE
+from ...cell.motion import Move
+from ...cell.sensors import sent_by
 
 RUBBER = replace(CUP, relaxation=(0.2, 0.25))
 STRETCHED = replace(CUP, stretch=(-2.5e4, -15.0))
@@ -43,7 +44,7 @@ def test_live_prediction_is_the_simulation_and_creeps_after_a_move():
     predictor = live()
     predictor.expect_twists(True)
     found = []
-    for stamp_ns, o, q, v, w in zip(*messages(tool, 10**9, in_world=True), strict=True):
+    for stamp_ns, o, q, v, w in zip(*sent_by(tool, 10**9, in_world=True), strict=True):
         predictor.on_twist(stamp_ns, v, w)
         found += predictor.on_pose(stamp_ns, 'world', o, q)
     assert_allclose([own.position for own in found], expected.position[:len(found)], atol=2e-5)

@@ -3,8 +3,8 @@
 from bellows_ros.core.live import LivePredictor
 import pytest
 
-from ..cases import MS, START, UPRIGHT
 from ..observer.cases import values
+from ...cell.motion import MS, START, UPRIGHT
 
 pytestmark = pytest.mark.usefixtures('observer_kernels')
 

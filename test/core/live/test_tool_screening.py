@@ -9,7 +9,7 @@ from bellows_ros.core.signals.screening import BACKWARD_RUN
 import numpy as np
 import pytest
 
-from ..cases import MS, START, UPRIGHT
+from ...cell.motion import MS, START, UPRIGHT
 
 PERIOD = 2 * MS
 RECOVERED_WITHIN_NS = 200 * MS

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import MS, ShakenTool, START, UPRIGHT
+from ...cell.motion import MS, ShakenTool, START, UPRIGHT
 
 
 def pose(stamp_ns):

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..cases import messages, PLATE, ShakenTool
+from ...cell.cup import PLATE
+from ...cell.motion import ShakenTool
+from ...cell.sensors import sent_by
 
 START = 1_760_000_000_000_000_000
 PERIOD = 2_777_778
@@ -164,7 +166,7 @@ def test_a_start_under_a_moving_tool_is_covered_until_it_has_settled(start, twis
     """Against the motion from the beginning: the error lies within what is said, and goes."""
     tool = ShakenTool(np.random.default_rng(twists)).trajectory(6.0, 360)
     truth = simulate(THESIS, PLATE, tool)
-    driven = list(zip(*messages(tool, START), strict=True))
+    driven = list(zip(*sent_by(tool, START), strict=True))
     live = predictor(exact(position=1e-6, rotation=1e-6), twist_frame='tool')
     live.expect_twists(twists)
     parts, phases, off = [], [], []

@@ -24,8 +24,18 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .. import cases, oracle
-from ..cases import random_cup, random_package, random_pose, ShakenTool, state_of, still_tool
+from .. import oracle
+from ...cell.cup import (
+    K_THESIS,
+    orthonormal,
+    random_cup,
+    random_package,
+    random_pose,
+    state_of,
+    T_WORLD_PACKAGE,
+    T_WORLD_TOOL,
+)
+from ...cell.motion import ShakenTool, still_tool
 
 GRAVITY = 9.81
 
@@ -37,10 +47,10 @@ def angle_between(Ra, Rb):
 
 def test_energy_is_that_of_the_thesis_and_constant_without_damping():
     """Simulate the validation case (3.45)-(3.49)."""
-    cup = Cup(cases.K_THESIS, np.zeros((6, 6)), 0.0482)
+    cup = Cup(K_THESIS, np.zeros((6, 6)), 0.0482)
     package = Package(2.0, box_inertia(2.0, 0.2, 0.2, 0.2), (0.0, 0.0, -0.1))
-    tool = cases.still_tool(cases.orthonormal(cases.T_WORLD_TOOL), 2 * 10**9, 2000)
-    T = cases.orthonormal(cases.T_WORLD_PACKAGE)
+    tool = still_tool(orthonormal(T_WORLD_TOOL), 2 * 10**9, 2000)
+    T = orthonormal(T_WORLD_PACKAGE)
     body = simulate(cup, package, tool, state_of(T[:3, 3], T[:3, :3]), substeps=1)
     gravity = np.array([0.0, 0.0, -GRAVITY])
     energies = np.array([

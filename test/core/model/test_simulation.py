@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from .. import oracle
-from ..cases import PLATE, still_tool
+from ...cell.cup import PLATE
+from ...cell.motion import still_tool
 
 LEVEL = state_row((0, 0, 0), (0, 0, 0, 1), np.zeros(6))
 

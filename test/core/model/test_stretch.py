@@ -18,7 +18,8 @@ import pytest
 from scipy.linalg import expm
 
 from .. import oracle
-from ..cases import random_cup, random_package, random_pose, still_tool
+from ...cell.cup import random_cup, random_package, random_pose
+from ...cell.motion import still_tool
 
 STRETCH = (-2e4, -5.0)
 

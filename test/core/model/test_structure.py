@@ -22,7 +22,7 @@ import pytest
 
 from .test_kernels import pair
 from .. import oracle
-from ..cases import random_cup
+from ...cell.cup import random_cup
 
 COUPLED = STRUCTURES['axisymmetric_coupled']
 SCALE = np.array([5400.0, 5400.0, 9200.0, 4.2, 4.2, 1.35])

@@ -14,7 +14,7 @@ from bellows_ros.core.observer.observer import Observer
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
 
-from ..plans import CUP, PACKAGE
+from ...cell.cup import CUP, PACKAGE
 
 PERIOD_NS = 4_000_000
 NOISE = np.repeat([2e-3, 1e-2], 3)

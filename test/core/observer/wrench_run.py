@@ -16,8 +16,8 @@ from bellows_ros.core.model.kernels import advance
 import numpy as np
 
 from .cases import pick_and_place, with_noise
-from ..plans import CUP, PACKAGE
 from ..sensors import wrench_cell
+from ...cell.cup import CUP, PACKAGE
 
 STEP_NS = 2_000_000
 MARGIN = 2

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..plans import Move
+from ...cell.motion import Move
 
 URDF = """<?xml version="1.0"?>
 <robot name="arm">

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from .. import plans
-from ..plans import CUP, GRIP, Move, PACKAGE
+from ...cell.cup import CUP, GRIP, PACKAGE, VALUES
+from ...cell.motion import Move
 
 MODEL = cup_package.model_tuple(CUP, PACKAGE, 9.81)
-VALUES = plans.VALUES.replaced({
+VALUES = VALUES.replaced({
     'cup.stiffness_std': 0.01 * CUP.stiffness.ravel(),
     'cup.damping_std': 0.05 * CUP.damping.ravel(),
     'package.mass_std': 0.01, 'package.com_std': (0.001, 0.001, 0.001),

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..plans import Batch, CUP, GRAVITY, GRIP, Move, PACKAGE, random_case
+from ..oracle import Batch
+from ...cell.cup import CUP, GRAVITY_VECTOR, GRIP, PACKAGE, random_case
+from ...cell.motion import Move
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)
@@ -41,7 +43,7 @@ def truths(cases, after=0.5, rate=1000):
             *batch_start(cases), duration, round(rate * duration)):
         R = T_E[:, :3, :3]
         velocity = np.einsum('nij,nj->ni', R, v_E[:, :3] + np.cross(v_E[:, 3:], arm))
-        pull = -GRAVITY if before is None else (velocity - before) * rate - GRAVITY
+        pull = -GRAVITY_VECTOR if before is None else (velocity - before) * rate - GRAVITY_VECTOR
         before = velocity
         f = mass * np.einsum('nji,nj->ni', R, np.broadcast_to(pull, arm.shape))
         load = np.hstack([f, np.cross(com, f)])  # of m (a - g) at B, held at the lip

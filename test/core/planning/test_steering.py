@@ -15,7 +15,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ..plans import Batch, CUP, Move, PACKAGE
+from ..oracle import Batch
+from ...cell.cup import CUP, PACKAGE
+from ...cell.motion import Move
 
 MODEL = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)

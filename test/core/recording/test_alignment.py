@@ -13,9 +13,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from . import tracking
-from .tracking import Noise, Shake, shaken, START
-from ..motions import noisy
+from ...cell.motion import held, shaken, Shaking, START
+from ...cell.sensors import Noise, noisy
 
 COM = np.array([0.004, -0.002, -0.03])
 TOOL_MARKERS = exp_so3([0.3, -0.2, 2.5])
@@ -23,7 +22,7 @@ PACKAGE_MARKERS = exp_so3([-1.0, 0.4, -0.6])
 ASIDE = np.array([0.8e-3, -0.6e-3, 0.0])
 
 
-held = partial(tracking.held, seconds=8.0, com=np.zeros(3), origin=(1.0, 2.0, 1.5))
+held = partial(held, seconds=8.0, com=np.zeros(3), origin=(1.0, 2.0, 1.5))
 
 
 def moved(poses, offset, turn):
@@ -77,7 +76,7 @@ def test_a_standstill_is_the_mean_of_noise_without_outliers():
 @pytest.mark.parametrize('noise', [0.0, 1e-3])
 def test_a_body_that_sets_off_too_early_is_refused_with_how_long_it_stands_still(noise):
     rng = np.random.default_rng(48)
-    poses = noisy(rng, shaken(rng, Shake(360.0, 20.0)), Noise(noise, noise))
+    poses = noisy(rng, shaken(rng, Shaking(360.0, 20.0)), Noise(noise, noise))
     standstill(poses, START, 1.9, 'tool')
     with pytest.raises(BellowsError, match=r'\b5\b.*\b2\b'):
         standstill(poses, START, 5.0, 'tool')

@@ -11,7 +11,8 @@ from bellows_ros.core.signals.trajectory import PoseStream
 import numpy as np
 import pytest
 
-from ..identification import simulated
+from ...cell.motion import shake
+from ...cell.sensors import record
 
 
 class Convention(NamedTuple):
@@ -51,7 +52,7 @@ def w_first(R):
 
 def streams(tool, package):
     """Return both bodies of a held package, recorded by such conventions."""
-    held = simulated.record(simulated.shake(duration=6.0, seed=3))
+    held = record(shake(duration=6.0, seed=3))
     bodies = (held.aligned_tool, held.aligned_package)
     return [PoseStream(
         f'/{name}', 'world', body.stamps_ns, body.position * (1e3 if own.millimetres else 1.0),

@@ -19,8 +19,8 @@ from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 import pytest
 
-from .tracking import START
 from ..identification.laboratory import Laboratory
+from ...cell.motion import START
 
 OUT = np.diag([1.0, -1.0, -1.0])
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from .tracking import displaced, Noise, Shake, shaken, with_excursions
-from ..motions import noisy
+from ...cell.motion import shaken, Shaking
+from ...cell.sensors import displaced, Noise, noisy, with_excursions
 
 NONE = Noise(0.0, 0.0)
 LAB = Noise(1e-4, 5e-4)
@@ -31,7 +31,7 @@ def found_in(poses):
 def recorded(seed, noise=LAB):
     """Give the poses of a motion at 360 Hz."""
     rng = np.random.default_rng(seed)
-    return noisy(rng, shaken(rng, Shake(360.0)), noise)
+    return noisy(rng, shaken(rng, Shaking(360.0)), noise)
 
 
 def without(poses, *missing):
@@ -60,7 +60,7 @@ def test_true_motion_is_not_omitted(rate_hz, motion, noise):
     rng = np.random.default_rng(10)
     for _ in range(3):
         duration = min(12.0, 4500.0 / rate_hz)
-        poses = noisy(rng, shaken(rng, Shake(rate_hz, duration, *motion)), noise)
+        poses = noisy(rng, shaken(rng, Shaking(rate_hz, duration, *motion)), noise)
         found = found_in(poses)
         assert found.good.all()
         assert found.steps == ()
@@ -72,7 +72,7 @@ def test_a_motion_that_begins_at_once_is_no_jump(rate_hz, motion):
     """Its velocity jumps, its pose does not."""
     rng = np.random.default_rng(11)
     for _ in range(5):
-        found = found_in(shaken(rng, Shake(rate_hz, 6.0, *motion), at_once=True))
+        found = found_in(shaken(rng, Shaking(rate_hz, 6.0, *motion), at_once=True))
         assert found.good.all()
 
 
@@ -85,7 +85,7 @@ def test_a_motion_that_begins_at_once_is_no_jump(rate_hz, motion):
 def test_excursions_are_marked_to_the_sample(seed, rate_hz, motion, noise, excursion):
     """Large ones with noise of 1 mm or 10 g too, small ones with noise of 0.1 mm, 0.5 mrad."""
     recall, precision = score(
-        np.random.default_rng(seed), Shake(rate_hz, 20.0, *motion), noise, *excursion)
+        np.random.default_rng(seed), Shaking(rate_hz, 20.0, *motion), noise, *excursion)
     is_large = excursion[:2] == LARGE
     assert recall > (0.99 if is_large else 0.95)
     assert precision > (0.97 if is_large else 0.9)
@@ -150,7 +150,7 @@ def test_excursions_that_end_in_a_gap_are_marked(lost, side, length):
 def test_a_lasting_step_does_not_end_in_a_lost_pose(seed):
     """Of a camera, whose lost poses each leave time for a jump: most of what follows is kept."""
     rng = np.random.default_rng(seed)
-    poses = noisy(rng, shaken(rng, Shake(30.0, 20.0, *CALM)), Noise(1e-3, 5e-3))
+    poses = noisy(rng, shaken(rng, Shaking(30.0, 20.0, *CALM)), Noise(1e-3, 5e-3))
     poses = displaced(
         poses, slice(len(poses) // 3, None), np.array([0.02, 0, 0]), np.zeros(3), True)
     kept = poses.select(rng.random(len(poses)) > 0.05)
@@ -170,7 +170,7 @@ def test_frozen_poses_are_marked(length, noise):
     """In the motion, and till the end."""
     rng = np.random.default_rng(23)
     for start in (2500, 4000, 7200 - length):
-        poses = noisy(rng, shaken(rng, Shake(360.0)), noise)
+        poses = noisy(rng, shaken(rng, Shaking(360.0)), noise)
         run = slice(start, start + length)
         found = found_in(frozen(poses, run))
         assert_array_equal(np.flatnonzero(~found.good), np.arange(run.start, run.stop))
@@ -179,7 +179,7 @@ def test_frozen_poses_are_marked(length, noise):
 
 def test_a_rest_recorded_without_noise_is_not_frozen_even_with_an_outlier_in_it():
     rng = np.random.default_rng(25)
-    poses = shaken(rng, Shake(360.0))
+    poses = shaken(rng, Shaking(360.0))
     poses = displaced(poses, slice(300, 304), np.array([0.3, 0, 0]), np.zeros(3), False)
     assert_array_equal(np.flatnonzero(~found_in(poses).good), np.arange(300, 304))
 
@@ -187,14 +187,14 @@ def test_a_rest_recorded_without_noise_is_not_frozen_even_with_an_outlier_in_it(
 def test_rounded_coordinates_are_neither_jumps_nor_frozen():
     """A driver that sends four decimals repeats poses at rest and moves in steps of 0.1 mm."""
     rng = np.random.default_rng(26)
-    poses = shaken(rng, Shake(360.0, 20.0, 0.5, 1.0))
+    poses = shaken(rng, Shaking(360.0, 20.0, 0.5, 1.0))
     rounded = Trajectory(poses.stamps_ns, np.round(poses.position, 4), poses.rotation)
     assert found_in(rounded).good.all()
 
 
 def test_noise_is_estimated_along_each_axis():
     rng = np.random.default_rng(31)
-    sound = shaken(rng, Shake(360.0, 20.0, 0.5, 1.0))
+    sound = shaken(rng, Shaking(360.0, 20.0, 0.5, 1.0))
     size = np.array([[0.5, 1.0, 2.0]])
     shift, turn = (x * size * rng.normal(size=(len(sound), 3)) for x in (1e-4, 5e-4))
     found = noise_of(replace(

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from .tracking import displaced, held, Noise, START
-from ..motions import noisy, with_errors
+from ...cell.motion import held, START
+from ...cell.sensors import displaced, Noise, noisy, with_errors
 
 COM = (0.0, 0.0, -0.03)
 WINDOWS = {f'{body}_{name}': size for body in ('tool', 'package')

@@ -17,7 +17,7 @@ import pytest
 
 from . import wrench_cell
 from ..observer.cases import tool_motion
-from ..plans import CUP, PACKAGE
+from ...cell.cup import CUP, PACKAGE
 
 STEP_NS = 1_000_000
 T_TOOL_SENSOR = lie.transform(lie.exp_so3([0.3, -0.2, 2.0]), [0.02, -0.01, 0.12])

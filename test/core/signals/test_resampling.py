@@ -9,7 +9,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from ..motions import EPOCH_NS, motion, poses_at, stamps
+from ...cell.motion import EPOCH_NS, motion, poses_at, stamps
 
 
 def errors(trajectory):

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.signal import welch
 
-from ..recording.tracking import START
+from ...cell.motion import START
 
 
 @pytest.mark.parametrize(('count', 'rate_hz'), [(5000, 360.0), (4999, 125.5), (150, 360.0)])

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..cases import ShakenTool
+from ...cell.motion import ShakenTool
 
 TIP = tip_of(Values({'tool_pose.offset': '0.02 -0.01 0.15 1 0 0 0'}))
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from ..motions import motion, stamps
+from ...cell.motion import motion, stamps
 
 
 def test_uniform_rate():

@@ -1,0 +1,1 @@
+"""One simulated cell for tests and benchmarks: motions, cups and packages, sensors."""
