@@ -504,7 +504,7 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
 
     Exit code 1: no release of the plan lands, or none at the target.
 
-    Read on: docs/toss.md
+    Read on: docs/before_it_moves.md
     """
     from bellows_ros.report.printed import print_toss
     from bellows_ros.workflows.toss import toss_plan, write_toss
