@@ -119,32 +119,29 @@ def source(name: str, **settings: Any) -> Any:
         'metavar', name.upper()), **settings)
 
 
-SET = click.option('--set', 'overrides', multiple=True, metavar='NAME=VALUE',
-                   shell_complete=parameter_names, help=(
-                       "set one parameter, overriding the files; may be repeated. 'bellows "
-                       "parameters' lists all, with units and defaults"))
+def option(name: str, metavar: str, text: str, *names: str, **settings: Any) -> Any:
+    """Return an option for a text."""
+    return click.option(
+        name, *names, metavar=metavar, help=text, **{'default': '', **settings})
+
+
+SET = option('--set', 'NAME=VALUE', (
+    "set one parameter, overriding the files; may be repeated. 'bellows parameters' lists all"),
+    'overrides', default=(), multiple=True, shell_complete=parameter_names)
 PARAMS = files('--params', multiple=True, help=(
     'parameter file (YAML, as for ROS nodes); may be repeated, later files override earlier ones'))
-FROM = click.option('--from', 'first', metavar='S', default='', help=(
-    'leave out data earlier than this, in s from the start of the data'))
-TO = click.option('--to', 'last', metavar='S', default='', help=(
-    'leave out data later than this, in s from the start of the data'))
+FROM = option('--from', 'S', 'leave out earlier data, in s from the start of the data', 'first')
+TO = option('--to', 'S', 'leave out later data, in s from the start of the data', 'last')
 JSON = output('--json', help="write all figures as JSON; '-' for stdout, with the rest on stderr")
-PLOT = output('--plot', kind=Binary, help=(
-    'picture to write (.png, .svg or .pdf); a .gif is an animation'))
+PLOT = output('--plot', kind=Binary, help='picture (.png, .svg, .pdf), or animation (.gif)')
 REPORT = output('--report', help='write a page with plots (HTML; extra plot)')
 FORCE = click.option('--force', is_flag=True, help='replace an output that already exists')
-URDF = files('--urdf', help=(
-    'URDF of the arm, if the plan has joint positions; default: /robot_description of the '
-    'recording'))
-LINK = click.option('--tool-link', default='', metavar='LINK', help=(
-    'link of the arm at the tool tip E'))
-TOPIC = click.option('--topic', default='', metavar='TOPIC', help=(
-    'topic of the plan, if the recording has several plans'))
-OUT_BAG = output('--out', kind=Folder, metavar='BAG', help=(
-    'recording to write: the motion, and the package along it'))
 PLAN_OPTIONS = (
-    source('plan'), TOPIC, FROM, TO, URDF, LINK, PARAMS, SET, JSON, PLOT, OUT_BAG, FORCE)
+    source('plan'), option('--topic', 'TOPIC', 'topic of the plan, if there are several'), FROM,
+    TO, files('--urdf', help='URDF of the arm, for joints; default: that of the recording'),
+    option('--tool-link', 'LINK', 'link of the arm at the tool tip E'), PARAMS, SET, JSON, PLOT,
+    output('--out', kind=Folder, metavar='BAG', help='recording to write, with the package'),
+    FORCE)
 
 
 def command(
@@ -202,23 +199,20 @@ def info(arguments: Any, console: 'Console') -> Outcome:
 
 @command(
     source('bags', nargs=-1, metavar='[BAG]...'), PARAMS, SET, FROM, TO,
-    output('--out', help=(
-        'write the cup as a parameter file, for the predictor and bellows replay')),
+    output('--out', help='write the cup as a parameter file'),
     output('--out-cell', help=(
         'write cell and package with all estimates (world, marker, latency, centre of mass) as a '
         'parameter file')),
     JSON, PLOT, REPORT,
-    click.option('--force', is_flag=True, help=(
-        'also write the cup file of a refused cup; its header says so')),
-    click.option('--jobs', type=int, metavar='N', help=(
-        'read and fit in N processes that keep their recordings, -1 for one per core; unusable '
-        'recordings are then reported and left out')),
-    click.option('--dask', default='', metavar='ADDRESS', help=(
+    click.option('--force', is_flag=True, help='also write the cup file of a refused cup'),
+    option('--jobs', 'N', (
+        'read and fit in N processes, -1 for one per core; unusable recordings are left out'),
+        type=int, default=None),
+    option('--dask', 'ADDRESS', (
         'read and fit on the workers of a Dask scheduler (extra dask), for example '
         'tcp://host:8786; the workers must see the recordings under the same paths')),
     click.option('--release', is_flag=True, help=(
-        'identify release.* instead, from drops with the cup given by the parameters; the valve '
-        "is on 'topics.valve'")))
+        "identify release.* instead, from drops with a given cup; the valve is 'topics.valve'")))
 def identify(arguments: Any, console: 'Console') -> Outcome:
     """
     Identify a cup's stiffness K and damping P from recordings.
@@ -268,28 +262,25 @@ def identify(arguments: Any, console: 'Console') -> Outcome:
 
 def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
     """Return the status of the cup, and the next step, as sentences."""
-    out, cell = arguments.out, arguments.out_cell
+    out, cell, check = arguments.out, arguments.out_cell, (
+        'Next, check how well it predicts another recording:')
     if result.refusals:
-        written = 'written because of --force' if (
-            arguments.force and result.fit.usable) else 'not written'
-        state = f'its file was {written}' if out or cell else 'do not use it'
-        return (f'This cup is refused: {state}.',)
+        is_kept = (out or cell) and arguments.force and result.fit.usable
+        return (f'This cup is refused; its file was {"" if is_kept else "not "}written.',)
     if not out:
         return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
-    lost = ', '.join(name for name in result.found if name != 'cup.length') if not cell else ''
-    given = [cell] if cell else arguments.params
-    params = ''.join(f' --params {file}' for file in (*given, out))
-    observe = f' --observe {result.remappings.get("package/measured", "/tf")}' if cell else ''
-    steps = ['Next, check how well it predicts another recording:',
-             f'  bellows replay BAG{params}{observe}']
-    if lost:
-        steps.insert(0, f'Without --out-cell cell.yaml the estimates of {lost} are lost.')
-    return (*steps, *((
-        'Then predict live:',
+    if not cell:
+        lost = ', '.join(name for name in result.found if name != 'cup.length')
+        params = ''.join(f' --params {file}' for file in (*arguments.params, out))
+        return (*[f'Without --out-cell cell.yaml the estimates of {lost} are lost.'] * bool(lost),
+                check, f'  bellows replay BAG{params}')
+    topics = result.remappings
+    return (
+        check, f'  bellows replay BAG --params {cell} --params {out} '
+        f'--observe {topics.get("package/measured", "/tf")}', 'Then predict live:',
         f'  {"" if which("predictor") else "ros2 run bellows_ros "}predictor --ros-args'
         f' --params-file {cell} --params-file {out}'
-        + ''.join(f' -r {name}:={topic}' for name, topic in result.remappings.items())
-    ) if cell else ()))
+        + ''.join(f' -r {name}:={topic}' for name, topic in topics.items()))
 
 
 def _identify_release(arguments: Any, console: 'Console') -> Outcome:
@@ -311,11 +302,9 @@ def _identify_release(arguments: Any, console: 'Console') -> Outcome:
 
 @command(
     source('bag'), PARAMS, SET, FROM, TO, JSON, PLOT, REPORT,
-    click.option('--observe', default='', metavar='TOPIC', help=(
-        'poses of the package from a camera, which correct a second live prediction; see '
-        'measured.*')),
-    click.option('--limit', type=float, metavar='PERCENT', help=(
-        'exit with 1 if the NRMSE of an axis that moves is above this')))
+    option('--observe', 'TOPIC', 'poses of the package that correct a second live prediction'),
+    option('--limit', 'PERCENT', 'exit with 1 if the NRMSE of an axis that moves is above this',
+           type=float, default=None))
 def replay(arguments: Any, console: 'Console') -> Outcome:
     """
     Predict a recording with a cup, and report the errors.
@@ -349,8 +338,7 @@ def replay(arguments: Any, console: 'Console') -> Outcome:
 @command(
     PARAMS, SET,
     files('--motion', required=True, help=(
-        'motion file (YAML): the motion of the tool and the tracking; '
-        'config/motion_example.yaml explains every setting')),
+        'motion of the tool, and the tracking (YAML); config/motion_example.yaml explains it')),
     files('--plan', metavar='PLAN', help=(
         'motion of the tool as a plan, see bellows plan; --motion then states the sensors alone')),
     output('--out', kind=Folder, metavar='BAG', required=True, help='recording to write'),
@@ -380,10 +368,8 @@ def simulate(arguments: Any, console: 'Console') -> Outcome:
 
 @command(
     source('names', nargs=-1, metavar='[NAME]...'),
-    click.option('--yaml', is_flag=True, help=(
-        'print a parameter file with the defaults, to fill in')),
-    output('--mjcf', help=(
-        'write the cup and the package of --params as a model for MuJoCo (MJCF)')),
+    click.option('--yaml', is_flag=True, help='print a parameter file to fill in'),
+    output('--mjcf', help='write cup and package of --params as a model for MuJoCo (MJCF)'),
     PARAMS, SET, JSON)
 def parameters(arguments: Any, console: 'Console') -> Outcome:
     """
@@ -435,14 +421,13 @@ def _mjcf(arguments: Any, console: 'Console') -> Outcome:
 @command(
     *PLAN_OPTIONS,
     click.option('--fastest', is_flag=True, help=(
-        'find the shortest time in which the safety factor, less two standard deviations, stays '
-        'above safety.least')),
+        'find the shortest time with a safety factor, less two sigma, above safety.least')),
     click.option('--steer', type=click.Choice(['zv', 'zvd']), help=(
-        'shape the motion for the modes of cup and package at rest, so that the package does not '
-        'swing: it takes longer; zvd is less sensitive to errors in cup and package than zv')),
+        'shape the motion so that the package does not swing: it takes longer; zvd is less '
+        'sensitive to errors in cup and package than zv')),
     files('--limits', help=(
-        'limits of the arm, of which the used parts are printed; with --steer the motion is '
-        'slowed down until it meets all of them; config/limits_example.yaml explains them')))
+        'limits of the arm: their used parts are printed, and --steer slows down to meet them; '
+        'config/limits_example.yaml explains them')))
 def plan(arguments: Any, console: 'Console') -> Outcome:
     """
     Predict the package during a planned motion of the tool.
@@ -483,13 +468,13 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
 
 @command(
     *PLAN_OPTIONS,
-    click.option('--release', type=float, metavar='T', help=(
-        'when to switch the valve, in s from the beginning of the plan')),
-    click.option('--target', type=float, nargs=2, metavar='X Y', help=(
-        'find the time of release whose landing is nearest to this point, m in the world')),
-    click.option('--target-rotation', type=float, nargs=4, metavar='QX QY QZ QW', help=(
-        'with --target: also match this orientation (quaternion); an angle counts as the '
-        'distance it moves the farthest corner')))
+    option('--release', 'T', 'when to switch the valve, in s from the beginning of the plan',
+           type=float, default=None),
+    option('--target', 'X Y', 'find the time of release for a landing here, m in the world',
+           type=float, nargs=2, default=None),
+    option('--target-rotation', 'QX QY QZ QW', (
+        'with --target: also match this orientation (quaternion)'),
+        type=float, nargs=4, default=None))
 def toss(arguments: Any, console: 'Console') -> Outcome:
     """
     Predict where a tossed package lands, and how accurately.
@@ -521,10 +506,10 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
 @command(
     source('sources', nargs=-1, required=True, metavar='SOURCE...'),
     output('--out', kind=Folder, metavar='NAME', required=True, help='recording to write'),
-    click.option('--topic', multiple=True, metavar='TOPIC', help=(
-        'topic for each body, in the same order (default: /NAME/pose)')),
-    click.option('--storage', type=click.Choice(['mcap', 'sqlite3']), default='mcap', help=(
-        'storage of the recording')),
+    option('--topic', 'TOPIC', 'topic for each body, in the same order (default: /NAME/pose)',
+           multiple=True, default=()),
+    click.option('--storage', type=click.Choice(['mcap', 'sqlite3']), default='mcap',
+                 help='storage of the recording'),
     FORCE, JSON)
 def convert(arguments: Any, console: 'Console') -> Outcome:
     """

@@ -99,7 +99,7 @@ def cell_file(result: Info) -> str:
     return template_with(
         [PARAMETERS[name] for name in unknown if name not in result.settings], result.settings, [
             f'How to read {result.path}, as found by bellows info; check it.',
-            *(text_of(each) for each in result.findings if each.code.startswith('free_'))])
+            *(text_of(each) for each in result.findings if each.code == 'freed')])
 
 
 def template(parameters: Iterable[Parameter]) -> str:

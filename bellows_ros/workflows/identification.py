@@ -42,9 +42,6 @@ import numpy as np
 if TYPE_CHECKING:  # not needed by a plain identification
     from bellows_ros.workflows.replay import Replay
 
-NORMAL_95 = 1.959963984540054
-"""Half width of a 95 % interval in standard errors."""
-
 CUP_EXTRAS = ('cup.relaxation', 'cup.stretch', 'cup.layout')
 """Parameters on which K and P depend; the cup file has them unless they have the default."""
 
@@ -487,19 +484,11 @@ def fit_json(fit: Fit) -> dict[str, Any]:
             'samples_rejected', 'condition_number', 'usable', 'residual_rms',
             'chi2', 'robust_chi2', 'converged'),
         'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
-        'intervals_95': {
-            name: {'low': value - half, 'high': value + half} for name, value, half in (
-                ('stiffness', fit.stiffness, NORMAL_95 * fit.stiffness_std),
-                ('damping', fit.damping, NORMAL_95 * fit.damping_std))},
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance,
             'covariance_from_given': fit.from_given,
-            'units': dict.fromkeys(('covariance', 'covariance_from_given'), _products(units))},
+            'units': dict.fromkeys(('covariance', 'covariance_from_given'), [
+                [f'{one} {other}' for other in units] for one in units])},
         'with_standstills': fit.standstills and {
             'standstills': fit.standstills[0], 'chi2': fit.standstills[1]},
         'units': {'residual_rms': fit.residual_units}}
-
-
-def _products(units: Any) -> list[list[str]]:
-    """Return the units of products of numbers."""
-    return [[f'{one} {other}' for other in units] for one in units]

@@ -26,7 +26,6 @@ from bellows_ros.core.recording.pose_faults import (
     twist_errors,
     TWIST_TOLERANCE,
 )
-from bellows_ros.core.recording.prepared_faults import sensor_remarks
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
@@ -42,7 +41,7 @@ from bellows_ros.files.detections import read_contents
 from bellows_ros.files.messages import DETECTIONS
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
-from bellows_ros.workflows.recordings import tag_sought, within_interval
+from bellows_ros.workflows.recordings import sensor_findings, tag_sought, within_interval
 import numpy as np
 
 MIN_HOLD = 4.0
@@ -111,9 +110,6 @@ class TopicInfo(NamedTuple):
     noise : mapping of str to list of 3 floats
         Standard deviations of 'position' (m) along the world's axes and of 'rotation' (rad) about
         body axes.
-    motion : mapping of str to list of 3 floats
-        Range of the coordinates of 'position' (m) and of 'rotation', the rotation vector (rad)
-        from the start, in recorded axes.
     remarks : tuple of Finding
         Findings for an identification from these poses.
 
@@ -133,7 +129,6 @@ class TopicInfo(NamedTuple):
     refused: Mapping[str, int] = MappingProxyType({})
     outliers: int = 0
     noise: Mapping[str, list[float]] = MappingProxyType({})
-    motion: Mapping[str, list[float]] = MappingProxyType({})
     remarks: tuple[Finding, ...] = ()
 
 
@@ -300,15 +295,11 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
         stream, jitter_s = at_sampling(stream)
         time = timing(stream.stamps_ns)
         outliers = find_outliers(stream.trajectory(), time.longest_step_ns)
-        moved, turned = (part[outliers.good] for part in (stream.position, stream.rotation))
         noise = noise_of(stream.trajectory()).tolist()
         quality |= {
             'outliers': int(np.count_nonzero(~outliers.good)),
             'noise': {'position': noise[:3], 'rotation': noise[3:]} if np.isfinite(
                 noise).all() else {},
-            'motion': {name: np.ptp(x, axis=0).tolist() for name, x in (
-                ('position', moved), ('rotation', log_so3(np.swapaxes(turned[:1], 1, 2) @ turned)))
-                if len(x)},
             'remarks': tuple(preparation.remarks_on(
                 recording.StreamReport(stream, time, outliers, arrival_jitter=jitter_s)))}
     return quality
@@ -366,9 +357,10 @@ def _both_bodies(
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
             'recording.package_frame': 'com'}
-        found += (of_tag := _of_tag(package))
+        is_tag = package.corners is not None
+        found += (of_tag := sensor_findings(package, is_tag, is_tag))
         settings['fit.free'] = ('time_offset', 'package_marker', *['scale'] * bool(of_tag))
-        more += [Finding(f'free_{name}', Level.OK) for name in settings['fit.free']]
+        more.append(Finding('freed', Level.OK, {'names': settings['fit.free']}))
     elif pair:
         settings['recording.world'] = pair.world
     if pair:
@@ -384,16 +376,6 @@ def _both_bodies(
         not is_aligned or remark.numbers['angle'] > FLANGE_ANGLE)]
     settings |= {'tool_pose.offset': FLANGE_OUTWARD} if outward else {}
     return rest_s, [*outward, *findings, *found, *more]
-
-
-def _of_tag(package: PoseStream) -> list[Finding]:
-    """Return the remark on poses of a detected tag without its size."""
-    time, body = timing(package.stamps_ns), package.trajectory()
-    outliers = find_outliers(body, time.longest_step_ns)
-    has_corners = package.corners is not None
-    found = sensor_remarks(body.select(outliers.good), time.rate_hz,
-                           outliers.excursions / len(body), has_corners, has_corners)
-    return [remark._replace(topic=package.name) for remark in found]
 
 
 def _prepared_remarks(

@@ -31,8 +31,6 @@ from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
-from bellows_ros.core.recording.outliers import find_outliers
-from bellows_ros.core.recording.prepared_faults import sensor_remarks
 from bellows_ros.core.recording.recording import (
     LOW_RATE_HZ,
     Recording,
@@ -40,7 +38,7 @@ from bellows_ros.core.recording.recording import (
     TimeOffset,
 )
 from bellows_ros.core.signals import residuals
-from bellows_ros.core.signals.resampling import resample, timing
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types, UnstableError
@@ -49,7 +47,14 @@ from bellows_ros.report.findings import text, warnings
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.holds import signals_of, spans_held
 from bellows_ros.workflows.plan import smallest_margin
-from bellows_ros.workflows.recordings import checked, load, no_progress, Progress, tag_sought
+from bellows_ros.workflows.recordings import (
+    checked,
+    load,
+    no_progress,
+    Progress,
+    sensor_findings,
+    tag_sought,
+)
 import numpy as np
 
 
@@ -469,16 +474,7 @@ def _observed(
         observer.payload,
         {'prediction alone': uncorrected.corners,
          'both': corner_scores(recording, corrected)} if recording.views else {},
-    ), _sensor_findings(stream, values.measured.tag_size > 0.0)
-
-
-def _sensor_findings(stream: PoseStream, is_tag: bool) -> tuple[Finding, ...]:
-    """Return the finding on measured poses that are stated as of a tag, or not as of one."""
-    body = stream.trajectory()
-    outliers = find_outliers(body, LONGEST_GAP_NS)
-    return tuple(remark._replace(topic=stream.name) for remark in sensor_remarks(
-        body.select(outliers.good), timing(stream.stamps_ns).rate_hz,
-        outliers.excursions / len(stream), is_tag, stream.corners is not None))
+    ), sensor_findings(stream, values.measured.tag_size > 0.0, stream.corners is not None)
 
 
 def _held_part(

@@ -433,7 +433,7 @@ def _corrected(cause: Cause, given: Given) -> str:
         before = np.array(given[topic][:3])
         moments = before * np.exp(cause.theta)
         order = order_of(before, moments)
-        return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2 (ixx, iyy, izz)' + (
+        return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2 if package.mass is right' + (
             order and f'; {order}')
     if topic == 'gravity.direction':
         doubt = '; or a hose or cable pulls at the package' * (cause.instead == 'force')

@@ -155,9 +155,6 @@ def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_
                for label in ('K rz', 'P rz'))
     content = json.loads(format_json(result.as_json()))
     assert content['stiffness_std'][5][5] is None
-    assert content['intervals_95']['stiffness']['high'][5][5] is None
-    assert content['intervals_95']['stiffness']['high'][0][1] == 0.0
-    assert content['intervals_95']['stiffness']['low'][0][0] > 0.0
     label = content['parameters']['labels'].index('K rz')
     assert content['parameters']['covariance'][label][label] is None
     values = resolve(result.parameters() | {'cup.stiffness': shipped[1]['cup.stiffness'],

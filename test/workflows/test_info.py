@@ -169,7 +169,7 @@ def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside
         assert free == {
             'recording.package_world': 'estimate', 'fit.method': 'output_error',
             'fit.free': ('time_offset', 'package_marker')}
-        assert '\n# fit.free: package_marker: the pose of the marker' in cell_file(found)
+        assert '\n# fit.free: time_offset and package_marker: estimated' in cell_file(found)
 
 
 @pytest.mark.parametrize(('signal', 'topic', 'kind'), [
