@@ -201,7 +201,7 @@ class LivePredictor:
     @property
     def frame_id(self) -> str:
         """Frame of the accepted poses, '' before the first."""
-        return self.tool.screen.frame.name or ''
+        return self.tool.screen.frame
 
     @property
     def newest_ns(self) -> int:

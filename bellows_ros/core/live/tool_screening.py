@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.screening import StampScreen
-from bellows_ros.core.signals.trajectory import NS_PER_S
+from bellows_ros.core.signals.trajectory import NS_PER_S, same_frame
 
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
@@ -43,6 +43,9 @@ JITTER = 0.025
 
 MAX_STAMP_NS = 2**31 * NS_PER_S
 """End of the stamps of a header, whose seconds have 32 bits, ns."""
+
+NEW_FRAME_NS = 150_000_000
+"""Time without a pose in the accepted frame after which another frame is accepted, ns."""
 
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
@@ -145,34 +148,6 @@ class ToolArrivals:
         return silent_ns if silent_ns > usual_ns else 0
 
 
-class Frame:
-    """
-    The accepted frame of messages: the first, or a later one that was alone for long enough.
-
-    Attributes
-    ----------
-    name : str or None
-        Name of the frame, None before the first.
-
-    """
-
-    def __init__(self) -> None:
-        self.name: str | None = None
-        self._other: str | None = None
-        self._first_ns = self._last_ns = -1
-
-    def accepts(self, name: str | None, stamp_ns: int) -> bool:
-        """Return whether a message is in the frame, which changes if necessary."""
-        if self.name is not None and name != self.name:
-            if self._first_ns < 0 or name != self._other or stamp_ns <= self._last_ns:
-                self._other, self._first_ns = name, stamp_ns
-            self._last_ns = stamp_ns
-            if stamp_ns - self._first_ns < 150_000_000:  # ns, of a new frame
-                return False
-        self.name, self._first_ns = name, -1
-        return True
-
-
 def why_no_twist(linear: Vector, angular: Vector) -> str:
     """Return the reason why a twist (m/s, rad/s) is rejected, or ''."""
     speed, rate = math.hypot(*linear), math.hypot(*angular)
@@ -188,8 +163,8 @@ class Screen(StampScreen):
 
     Attributes
     ----------
-    frame : Frame
-        Frame of the accepted poses, if named.
+    frame : str
+        Frame of the accepted poses, '' before the first.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
 
@@ -200,7 +175,7 @@ class Screen(StampScreen):
 
     def reset(self) -> None:
         """Accept any next stamp and frame."""
-        self.frame = Frame()
+        self.frame = ''
         self.forget_motion()
 
     def forget_motion(self) -> None:
@@ -241,6 +216,7 @@ class Screen(StampScreen):
                 if reason == 'moved':
                     self._velocity, self._rate = velocities
             self.accept_stamp(stamp_ns, arrival_ns, reason)
+            self.frame = frame_id or self.frame
             self._last = Reference(stamp_ns, position, quaternion_xyzw, self.period_ns / NS_PER_S,
                                    self._velocity, self._rate)
             self._elsewhere, self._run = None, 0
@@ -256,12 +232,12 @@ class Screen(StampScreen):
             return 'zero_stamp'
         if stamp_ns >= MAX_STAMP_NS:
             return 'future_stamp'
-        before = self.frame.name
-        if not self.frame.accepts(frame_id or None, stamp_ns):
-            return 'frame_id'
-        if before and before != frame_id:
-            return 'frame_changed'
-        return self.judge_stamp(stamp_ns, arrival_ns) or self._judge_place(stamp_ns, o, q)
+        pause_ns, reason = stamp_ns - self.newest_ns, self.judge_stamp(stamp_ns, arrival_ns)
+        if reason in REFUSALS:
+            return reason
+        if not same_frame(self.frame, frame_id):
+            return 'frame_id' if 0 < pause_ns < NEW_FRAME_NS else 'frame_changed'
+        return reason or self._judge_place(stamp_ns, o, q)
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:
         """Reject distant poses, unless they are consistent with each other for some time."""

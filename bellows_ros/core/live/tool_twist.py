@@ -33,12 +33,8 @@ MAX_WAIT_NS = 20_000_000
 MAX_QUEUE = 256
 """Largest number of waiting poses."""
 
-
 MAX_SPAN_NS = 30_000_000
 """Longest interval between two twists in which a twist is interpolated, ns."""
-
-MAX_ALONE = 3
-"""Number of successive poses without a twist after which poses no longer wait."""
 
 
 class Pairing:
@@ -64,8 +60,7 @@ class Pairing:
         self._twists: deque[TwistSample] = deque(maxlen=32)
         self._before: TwistSample | None = None
         self._newest_ns = self._released_ns = -1
-        self._alone = self._since_twist = 0  # poses without a twist, poses since the last twist
-        self._sparse = 0  # successive twists with several poses before each
+        self._since_twist = self._sparse = 0  # poses, and successive twists after several poses
 
     @property
     def waiting(self) -> int:
@@ -95,22 +90,20 @@ class Pairing:
         if stamp_ns > self._released_ns + PAIRING_TOLERANCE_NS:
             twists.append(twist)
             return
-        if self._alone and self._newest_ns - stamp_ns <= MAX_WAIT_NS:
-            self.expect = True
+        self.expect |= self._newest_ns - stamp_ns <= MAX_WAIT_NS
         if self._before is None or stamp_ns > self._before.stamp_ns:
             self._before = twist
 
     def release_waiting_poses(self) -> None:
         """Release all waiting poses without their twists."""
-        if self._poses:
-            self.expect = False
+        self.expect = self.expect and not self._poses
 
     def ready(self) -> Iterator[tuple[PoseSample, TwistSample | None]]:
         """Yield the released poses with their twists, oldest first."""
         while self._poses:
             pose = self._poses[0]
             twist = self._twist_of(pose.stamp_ns)
-            if twist is None and self.expect and not (self._twists or self._sparse > 1):
+            if twist is None and self.expect and not self._twists and self._sparse < 2:
                 if (self._newest_ns - pose.stamp_ns <= MAX_WAIT_NS
                         and len(self._poses) <= MAX_QUEUE):
                     return
@@ -118,62 +111,43 @@ class Pairing:
             self._poses.popleft()
             self._released_ns = pose.stamp_ns
             self._pairs += twist is not None
-            self._alone = self._alone + 1 if twist is None else 0
-            self.expect = self.expect and self._alone < MAX_ALONE
             yield pose, twist
 
     def _twist_of(self, stamp_ns: int) -> TwistSample | None:
-        """Return the twist at a stamp, measured or interpolated."""
-        while self._twists:
-            difference = self._twists[0].stamp_ns - stamp_ns
-            if difference > PAIRING_TOLERANCE_NS:
-                return self._interpolated(stamp_ns)
+        """Return the twist at a stamp, measured, or interpolated between its neighbours."""
+        while self._twists and self._twists[0].stamp_ns <= stamp_ns + PAIRING_TOLERANCE_NS:
             self._before = self._twists.popleft()
-            if difference >= -PAIRING_TOLERANCE_NS:
+            if self._before.stamp_ns >= stamp_ns - PAIRING_TOLERANCE_NS:
                 return self._before
-        return None
-
-    def _interpolated(self, stamp_ns: int) -> TwistSample | None:
-        """Return the twist interpolated at a stamp between the neighbouring twists."""
-        before, after = self._before, self._twists[0]
-        if before is None or before.stamp_ns >= stamp_ns or (
-                after.stamp_ns - before.stamp_ns > MAX_SPAN_NS):
+        if not self._twists or self._before is None:
             return None
-        s = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+        before, after = self._before, self._twists[0]
+        span_ns, part_ns = after.stamp_ns - before.stamp_ns, stamp_ns - before.stamp_ns
+        if not 0 < part_ns < span_ns <= MAX_SPAN_NS:
+            return None
         return TwistSample(stamp_ns, *(
-            t3.add_scaled(t3.scale(1.0 - s, a), s, b)
+            t3.add_scaled(a, part_ns / span_ns, t3.subtract(b, a))
             for a, b in zip(before[1:], after[1:], strict=True)))
 
 
 HISTORY = 5
 """Number of poses from which a missing twist is estimated."""
 
-ROTATION_LEVER = 0.1
-"""Lever that converts rotations to distances, m."""
-
 
 @entry
-def append_row(rows: Any, count: int, seconds: float, o: Vector, q: Quaternion) -> int:
-    """Append a pose, dropping the first when full; return the number of poses."""
-    if count == len(rows):
-        for i in range(count - 1):
-            for j in range(8):
-                rows[i][j] = rows[i + 1][j]
-        count -= 1
-    row = rows[count]
-    row[0], row[1], row[2], row[3] = seconds, o[0], o[1], o[2]
-    row[4], row[5], row[6], row[7] = q
-    return count + 1
+def pose_with_slope(rows: Any, number: int, back: int) -> State:
+    """
+    Return the pose some samples before the newest, and the slope there of a quadratic.
 
-
-@entry
-def pose_with_slope(rows: Any, count: int, at: int) -> State:
-    """Return the pose in rows[at], and the slope there of a quadratic through rows[:count]."""
+    The rows (k, 8) have the last k of a number of samples, each in the row of its number modulo k:
+    stamp (s), position, quaternion.
+    """
+    at, count = (number - 1 - back) % len(rows), min(number, len(rows))
     o = (rows[at][1], rows[at][2], rows[at][3])
     q = (rows[at][4], rows[at][5], rows[at][6], rows[at][7])
     if count < 2:
         return o, q, ZERO, ZERO
-    span = rows[count - 1][0] - rows[0][0]
+    span = rows[(number - 1) % len(rows)][0] - rows[(number - count) % len(rows)][0]
     s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
     for i in range(count):
         s = (rows[i][0] - rows[at][0]) / span
@@ -212,8 +186,8 @@ PERIOD_NS = 20_000_000
 LATER_POSES = 2
 """Number of later poses for an accurate slope."""
 
-FORGETTING = 0.98
-"""Forgetting factor of the comparisons: the last 50, or 1 s, have most of the weight."""
+FORGETTING = 0.998
+"""Forgetting factor of the comparisons: the last 500, or 10 s of motion, have most weight."""
 
 MAX_MISFIT = 0.25
 """Largest fraction of the mean square of correct twists that poses do not explain."""
@@ -224,6 +198,15 @@ below a swing of the cup."""
 
 LAG_DEVIATIONS = 5.0
 """Smallest significant lag, standard deviations: 1 in 1.7 million."""
+
+LAG_STEP = 2e-4
+"""Largest change of the corrected lag in a comparison, s: 1 % of the speed."""
+
+AT_TIP = ORIGIN[:2]
+"""Pose of E in the frame of poses and twists, unless given."""
+
+ROTATION_LEVER = 0.1
+"""Lever that converts rotations to distances, m."""
 
 MAX_JERK = 5e3
 """Largest jerk of an arm, m/s^3."""
@@ -238,50 +221,51 @@ ANGLE_TOLERANCE = 0.15
 """Tolerance of a rotation in addition to the largest angular jerk, rad."""
 
 
-@kernel
-def squared(v: Vector, w: Vector) -> float:
-    """Return the square of a twist, with rotation weighted by `ROTATION_LEVER`."""
-    return t3.dot(v, v) + ROTATION_LEVER * ROTATION_LEVER * t3.dot(w, w)
-
-
 @entry
 def misfit(
     tool: State, later: State, seconds: float, v: Vector, w: Vector
-) -> tuple[float, float, float, float, float]:
+) -> tuple[float, float, float, float]:
     """
     Compare a measured body twist with the slopes v, w of the poses.
 
-    The results are the squares of the slopes and of the deviation, and for the velocity the square
-    of the acceleration until a later twist, its product with the deviation, and the square of the
-    deviation. Poses that lag by T deviate by T times the acceleration.
+    The results are the squares of the slopes and of the deviation, the square of the acceleration
+    until a later twist, and its product with the deviation, with rotation weighted by
+    `ROTATION_LEVER`. Poses that lag by T deviate by T times the acceleration.
     """
-    d, a = t3.subtract(tool[2], v), t3.scale(1.0 / seconds, t3.subtract(later[2], tool[2]))
-    return (squared(v, w), squared(d, t3.subtract(tool[3], w)), t3.dot(a, a), t3.dot(a, d),
-            t3.dot(d, d))
+    d, e = t3.subtract(tool[2], v), t3.subtract(tool[3], w)
+    a, b = t3.subtract(later[2], tool[2]), t3.subtract(later[3], tool[3])
+    lever = ROTATION_LEVER * ROTATION_LEVER
+    return (t3.dot(v, v) + lever * t3.dot(w, w), t3.dot(d, d) + lever * t3.dot(e, e),
+            (t3.dot(a, a) + lever * t3.dot(b, b)) / (seconds * seconds),
+            (t3.dot(a, d) + lever * t3.dot(b, e)) / seconds)
 
 
 @entry
 def with_measured_twist(
     before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
-    seconds: float, lag: float,
+    tip: tuple[Vector, Quaternion], seconds: float, lag: float,
 ) -> tuple[State, float]:
     """
     Return the tool with a measured twist, and its deviation from the twists' integral.
 
+    The twist is of a frame in which E has the pose `tip`, in axes of the world or of this frame.
     A pose that lags (s) behind its twist is extrapolated by the twist.
 
     The deviation is relative to the largest possible deviation of an arm: the shift between two
     poses differs from the mean velocity times the time by at most j t^3 / 12, with the largest
     jerk j.
     """
-    R_before, R = t3.rotation_matrix(before[1]), t3.rotation_matrix(q)
-    v, w = linear, angular
+    R_tip, v, w = t3.rotation_matrix(tip[1]), linear, angular
     if in_world:
+        R = t3.multiply(t3.rotation_matrix(q), t3.transposed(R_tip))
         v, w = t3.apply_transposed(R, linear), t3.apply_transposed(R, angular)
+    v = t3.apply_transposed(R_tip, t3.add(v, t3.cross(w, tip[0])))
+    w = t3.apply_transposed(R_tip, w)
     if lag > 0.0:
         ahead = extrapolated((o, q, v, w), lag)
         o, q = ahead[0], ahead[1]
-    mean = t3.scale(0.5, t3.add(t3.apply(R_before, before[2]), t3.apply(R, v)))
+    mean = t3.scale(0.5, t3.add(
+        t3.apply(t3.rotation_matrix(before[1]), before[2]), t3.apply(t3.rotation_matrix(q), v)))
     shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
     rotation = t3.rotation_between(before[1], q)
     angle = t3.norm(t3.subtract(rotation, t3.scale(0.5 * seconds, t3.add(before[3], w))))
@@ -311,31 +295,28 @@ class ToolMotion:
     """
 
     def __init__(self, in_world: bool) -> None:
-        # stamp (s, from the first), position, quaternion xyzw
         self._rows, = as_inputs(np.zeros((HISTORY, 8)))
-        self._in_world = in_world
-        self._tip: tuple[Vector, Quaternion] | None = None
+        self._in_world, self._tip = in_world, AT_TIP
         self._recent: deque[State] = deque(maxlen=LATER_POSES + 1)
         self.estimated = self.missed = 0
-        self._lag, self._products = 0.0, np.zeros(4)  # see `misfit`, and their number
+        self._lag, self._sums = 0.0, np.zeros(5)  # see `misfit`, and their number
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
         """Set the pose (4, 4) of E in the frame of poses and twists."""
-        self._tip = None if tip is None else (
+        self._tip = AT_TIP if tip is None else (
             tuple(tip[:3, 3].tolist()), tuple(rotation_to_quaternion(tip[:3, :3]).tolist()))
 
     def clear(self) -> None:
-        """Forget all poses and the comparison of twists, but not the lag."""
-        self._count = self._origin_ns = self._compared = 0
+        """Forget all poses, but not the comparison of twists."""
+        self._count = self._origin_ns = 0
         self._recent.clear()
         self._due_ns = -1
-        self._squares = 0.0, 0.0  # see `misfit`
 
     def pose(self, stamp_ns: int, position: Vector, quaternion_xyzw: Quaternion) -> PoseSample:
         """Return the pose of E in the world from the pose of the frame, m."""
         q = t3.normalised(quaternion_xyzw)
-        if self._tip is not None:
+        if self._tip is not AT_TIP:
             position = t3.add(position, t3.apply(t3.rotation_matrix(q), self._tip[0]))
             q = t3.quaternion_product(q, self._tip[1])
         return PoseSample(stamp_ns, position, q)
@@ -345,11 +326,12 @@ class ToolMotion:
         if self._count == 0:
             self._origin_ns = pose.stamp_ns
         seconds = (pose.stamp_ns - self._origin_ns) / NS_PER_S
-        self._count = append_row(self._rows, self._count, seconds, *pose[1:])
+        self._rows[self._count % HISTORY] = seconds, *pose.position, *pose.quaternion_xyzw
+        self._count += 1
 
     def state(self, back: int = 0) -> State:
         """Return the pose a number of samples before the newest, with its estimated body twist."""
-        return pose_with_slope(self._rows, self._count, self._count - 1 - back)
+        return pose_with_slope(self._rows, self._count, back)
 
     def measured(
         self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
@@ -360,34 +342,26 @@ class ToolMotion:
         Twists are compared while a package is held (seconds > 0), because a tool without a
         package may jump.
         """
-        q = pose.quaternion_xyzw
-        if self._tip is not None:
-            twist = _at_tip(twist, *self._tip, q, self._in_world)
         now, excess = with_measured_twist(
-            before, pose.position, q, twist.linear, twist.angular, self._in_world, seconds,
-            self._lag)
+            before, *pose[1:], *twist[1:], self._in_world, self._tip, seconds, self._lag)
         self._recent.append(now)
         if seconds > 0.0 and len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
             self._due_ns = pose.stamp_ns + PERIOD_NS
-            span = self._rows[self._count - 1][0] - self._rows[self._count - 1 - LATER_POSES][0]
-            energy, deviation, *products = misfit(
-                self._recent[0], now, span, *self.state(LATER_POSES)[2:4])
-            self._squares = (FORGETTING * self._squares[0] + energy,
-                             FORGETTING * self._squares[1] + deviation)
-            self._compared += 1
-            self._products += *products, 1.0
+            stamp, earlier = (self._rows[(self._count - 1 - back) % HISTORY][0]
+                              for back in (0, LATER_POSES))
+            self._sums = FORGETTING * self._sums + [*misfit(
+                self._recent[0], now, float(stamp - earlier), *self.state(LATER_POSES)[2:4]), 1.0]
             self._follow_lag()
         return now, excess
 
     def _follow_lag(self) -> None:
         """Approach the lag of the poses behind the twists, if it is significant."""
-        aa, ad, dd, count = self._products.tolist()
-        found = ad / max(aa, 1e-12)
-        std = math.sqrt(max(dd - found * ad, 0.0) / (3.0 * count * max(aa, 1e-12)))
+        _, dd, aa, ad, count = self._sums.tolist()
+        lag = ad / max(aa, 1e-12)
+        std = math.sqrt(max(dd - lag * ad, 0.0) / (6.0 * count * max(aa, 1e-12)))
         is_late = self.verdict == 'fits' and (
-            max(LAG_RANGE[0], LAG_DEVIATIONS * std) < found < LAG_RANGE[1])
-        step = 0.01 * PERIOD_NS / NS_PER_S  # 1 % of the speed
-        self._lag += min(max(found * is_late - self._lag, -step), step)
+            max(LAG_RANGE[0], LAG_DEVIATIONS * std) < lag < LAG_RANGE[1])
+        self._lag += min(max(lag * is_late - self._lag, -LAG_STEP), LAG_STEP)
 
     def states(
         self, pose: PoseSample, twist: TwistSample | None, last: Sample | None
@@ -409,21 +383,8 @@ class ToolMotion:
     @property
     def verdict(self) -> str:
         """Verdict on measured twists: 'unknown', 'fits' or 'does_not_fit'."""
-        energy, deviation = self._squares
-        weight = (1.0 - FORGETTING ** self._compared) / (1.0 - FORGETTING)
-        if self._compared < 20 or not (  # a first verdict takes 20 comparisons
-                1e-3 * weight < energy < math.inf):  # (m/s)^2; noise dominates below
+        energy, deviation, *_, count = self._sums.tolist()
+        if count < 20 or not (  # a first verdict takes 20 comparisons
+                1e-3 * count < energy < math.inf):  # (m/s)^2; noise dominates below
             return 'unknown'
         return 'does_not_fit' if deviation > MAX_MISFIT * energy else 'fits'
-
-
-def _at_tip(
-    twist: TwistSample, lever: Vector, rotation: Quaternion, q: Quaternion, in_world: bool
-) -> TwistSample:
-    """Return the twist of E, in unchanged axes, from a frame with E at lever and rotation."""
-    R_tip, v, w = t3.rotation_matrix(rotation), twist.linear, twist.angular
-    if in_world:
-        lever = t3.apply(t3.rotation_matrix(q), t3.apply_transposed(R_tip, lever))
-        return TwistSample(twist.stamp_ns, t3.add(v, t3.cross(w, lever)), w)
-    v = t3.apply_transposed(R_tip, t3.add(v, t3.cross(w, lever)))
-    return TwistSample(twist.stamp_ns, v, t3.apply_transposed(R_tip, w))

@@ -17,8 +17,8 @@ from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import changed_by, MeasuredPose
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
 from bellows_ros.core.observer.results import Estimate, Evidence, USUAL
-from bellows_ros.core.observer.states import KNOWN_ROWS, LARGEST, STATE
-from bellows_ros.core.observer.support import CONTACT, NEAR
+from bellows_ros.core.observer.states import LARGEST, STATE
+from bellows_ros.core.observer.support import CONTACT
 from bellows_ros.core.observer.track import Track
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -46,17 +46,8 @@ it is bent: m, rad, m/s and rad/s."""
 TOUCHDOWN = 0.2
 """Time in which a support takes over the weight of a lowered package, s."""
 
-TILT = 0.01
-"""Rotation by which a support turns a lowered package flat, rad."""
-
-SLIDING = 0.03
-"""Friction force of a support, relative to the weight."""
-
 FLAT = 0.98
 """Smallest cosine between the cup's axis and gravity of a package that is turned flat."""
-
-CONTACT_EVIDENCE = 2.0
-"""Log-likelihood ratio from which a contact is assumed; the odds are 7 to 1."""
 
 MODEL_ERROR_SHARE = 3e-4
 """Initial variance of the model error, relative to the variance of the lip's displacement."""
@@ -167,22 +158,13 @@ class Correction:
         self.weight = stated.weight
         self.largest[WRENCH_ROWS] *= stated.weight
         self._walk = np.square(states.each_row('walk', stated))
-        self._sag = sag(model)
         self._marker, self.false_per_hour = marker, values.alarm.false_per_hour
         self._tool_noise = np.repeat(np.maximum(values.tool_noise, LEAST_TOOL_NOISE), 3)
 
-    def _by_support(self, body: State) -> Array:
-        """
-        Return the variances (6,) of a support's wrench on a package, lip axes, N^2 and N^2 m^2.
-
-        The force is up to the weight along the normal, against gravity, and less across. Its
-        moment, which the stiffness of the cup balances, turns the package flat.
-        """
-        up = np.square(t3.apply_transposed(t3.rotation_matrix(body[1]), self.nominal[2]))
-        normal = up / max(up.sum(), 1e-12)
-        across, moment = 1.0 - normal, TILT * np.array(self.nominal[0][2][2][::4])
-        return np.asarray(np.r_[
-            self.weight**2 * (normal + SLIDING**2 * across), np.square(moment) * across])
+    def _weight_in(self, body: State) -> Array:
+        """Return the weight (3,) of a package in lip axes, N."""
+        g = np.array(t3.apply_transposed(t3.rotation_matrix(body[1]), self.nominal[2]))
+        return np.asarray(self.weight / max(float(np.linalg.norm(g)), 1e-9) * g)
 
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: Estimate, on_support: bool = False,
@@ -215,7 +197,7 @@ class Correction:
         evidence, theta, walk = before.evidence, before.theta, self._walk
         if support == CONTACT:
             walk = walk.copy()
-            walk[WRENCH_ROWS] += self._by_support(before.body) / TOUCHDOWN
+            walk[WRENCH_ROWS[:3]] += np.square(self._weight_in(before.body)) / TOUCHDOWN
         late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
         if late:  # correction for reading the pose earlier
             theta = theta.copy()
@@ -225,8 +207,8 @@ class Correction:
             stamp_ns, self.max_step, (self._drive, walk, self._marker[3][0]),
             MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
-                self.holding_reach, self.largest, self._sag if support == NEAR else 0.0, gate,
-                evidence.means, self._prior_of_differing),
+                self.holding_reach, self.largest, gate, evidence.means,
+                self._prior_of_differing),
             evidence.poses < alarms.KNOWN_COUNT,
             before.memory[ekf.COUNT] < alarms.KNOWN_COUNT
             or bool(evidence.means[2].max() <= USUAL))
@@ -234,7 +216,7 @@ class Correction:
         theta[states.LATENCY - STATE] += late
         return result, before._replace(
             stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            contact=max(before.contact + result.rise, 0.0))
+            support=support)
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
@@ -269,16 +251,13 @@ class Correction:
         Return the estimate after a measurement, or before it if the pose is not of the package.
 
         Further results are the verdict (`used`, `recovered`, `gate` or `out_of_reach`),
-        and an alarm, if any. While a support may be near, estimates of camera, cup and package
-        are kept, and deviations do not count. From contact on, its wrench is estimated.
+        and an alarm, if any. While a support may be near, deviations do not count.
         """
         if before.support and not support:
             before = self.released(before)
-        support = max(support, CONTACT if support and before.support == CONTACT else 0)
         if not measurement.is_pose:
             result, after = self._step(
                 before, track, measurement.stamp_ns, is_recorded, support=support)
-            after = after._replace(support=support)
             return after, '', self._differing(after, after.evidence, result.changes)[1]
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         result, after = self._step(
@@ -290,16 +269,11 @@ class Correction:
         name = 'used' if not gated else 'recovered' if (
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
         after = after._replace(
-            gated_ns=gated, away_ns=before.away_ns if gated else 0, support=support,
+            gated_ns=gated, away_ns=before.away_ns if gated else 0,
             late_ns=measurement.stamp_ns - stamp_ns,
             evidence=before.evidence._replace(seen=result))
-        if support:
-            after, alarm = self._touching(after), None
-            known = KNOWN_ROWS[KNOWN_ROWS < len(before.covariance)]
-            block = np.ix_(known, known)
-            after.theta[known - STATE] = before.theta[known - STATE]
-            after.covariance[block] = before.covariance[block]
-        else:
+        alarm = None
+        if not support:
             after, alarm = self._judged(before, after, result)
         if alarm is None and name == 'recovered':
             after = self._restarted(after, before.memory, track, measurement)
@@ -312,20 +286,19 @@ class Correction:
         A support and no support are equally likely; the estimate has the mean and the variance of
         both cases.
         """
-        after = self._step(before, track, stamp_ns, is_recorded, support=NEAR)[1]
-        if before.support == CONTACT:
-            return after
+        after = self._step(before, track, stamp_ns, is_recorded, support=before.support)[1]
         half = 0.5 * self._put_down(after)
         body, theta = changed_by(after.body, after.theta, half)
         return after._replace(
             body=body, theta=theta, covariance=after.covariance + half[:, None] * half,
-            support=NEAR)
+            support=CONTACT)
 
     def _put_down(self, estimate: Estimate) -> Array:
         """
         Return the error (n,) of an estimate in the air, if a support keeps the package flat.
 
-        The package turns about the middle of the bending cup. The moment balances the weight.
+        The package turns about the middle of the bending cup. The moment balances the weight, of
+        which the support takes half.
         """
         cup, (_, com, _, _), _ = dynamics.model_at(
             self.row, self.law, estimate.theta)
@@ -338,6 +311,7 @@ class Correction:
         moment = self.weight * com[1], -self.weight * com[0]
         rows = slice(states.WRENCH + 3, states.WRENCH + 5)
         error[rows] = moment - estimate.theta[rows.start - STATE:rows.stop - STATE]
+        error[WRENCH_ROWS[:3]] = -0.5 * self._weight_in(estimate.body)
         return error
 
     def _turn_to_flat(self, body: State) -> Vector | None:
@@ -345,34 +319,6 @@ class Correction:
         gravity = self.nominal[2]
         x, y, z = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
         return None if -z < FLAT * t3.norm(gravity) else (-y / z, x / z, 0.0)
-
-    def _touching(self, estimate: Estimate) -> Estimate:
-        """Return an estimate with the wrench of a support, once there is evidence of contact."""
-        if estimate.contact < CONTACT_EVIDENCE:
-            return estimate
-        if estimate.support != CONTACT:
-            P = estimate.covariance.copy()
-            P[WRENCH_ROWS, WRENCH_ROWS] += self._by_support(estimate.body)
-            estimate = estimate._replace(covariance=P, support=CONTACT)
-        elif self._pull(estimate) > 0.0:  # a support pushes only: there is no contact
-            return self._without_support(estimate)._replace(support=NEAR)
-        return self._flat(estimate)
-
-    def _pull(self, estimate: Estimate) -> float:
-        """Return the estimated force along gravity (N), at the nominal mass, times gravity."""
-        force = estimate.theta[states.WRENCH - STATE:states.WRENCH + 3 - STATE].tolist()
-        return t3.dot(self.nominal[2], t3.apply(
-            t3.rotation_matrix(estimate.body[1]), (force[0], force[1], force[2])))
-
-    def _flat(self, estimate: Estimate) -> Estimate:
-        """Return an estimate of a package that a support rotates back to its pose at the grip."""
-        turn = self._turn_to_flat(estimate.body)
-        if turn is None:
-            return estimate
-        P, rows = estimate.covariance, np.array([states.TURN, states.TURN + 1])
-        gain = np.linalg.solve(P[np.ix_(rows, rows)] + TILT**2 * np.eye(2), P[rows]).T
-        body, theta = changed_by(estimate.body, estimate.theta, gain @ np.array(turn[:2]))
-        return estimate._replace(body=body, theta=theta, covariance=P - gain @ P[rows])
 
     def _judged(
         self, before: Estimate, after: Estimate, seen: measured.Corrected
@@ -428,11 +374,8 @@ class Correction:
 
     def released(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package just released by its support."""
-        return self._renewed(self._without_support(estimate)._replace(support=0, away_ns=0))
-
-    def _without_support(self, estimate: Estimate) -> Estimate:
-        """Return an estimate with the initial wrench."""
-        return estimate.with_rows(self.initial, WRENCH_ROWS)._replace(contact=0.0)
+        return self._renewed(
+            estimate.with_rows(self.initial, WRENCH_ROWS)._replace(support=0, away_ns=0))
 
     def _restarted(
         self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement

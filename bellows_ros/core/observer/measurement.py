@@ -53,8 +53,6 @@ class MeasuredPose(NamedTuple):
     centre of mass, camera and stamps are added."""
     largest: Array
     """Largest physical value of each row of the error."""
-    sag: float
-    """Sag of the cup (m) near a support, otherwise 0."""
     gate: float
     """Largest squared Mahalanobis distance, 0 without a measurement."""
     means: Means
@@ -299,19 +297,6 @@ def posterior(
 
 
 @kernel
-def _along(innovation: Innovation, change: Any) -> tuple[float, float]:
-    """Return the product of an innovation with a change of the pose (6,), and its square."""
-    along = square = 0.0
-    for i in range(6):
-        by = 0.0
-        for j in range(i + 1):
-            by += innovation.whitener[i, j] * change[j]
-        along += innovation.z[i] * by
-        square += by * by
-    return along, square
-
-
-@kernel
 def updated_memory(
     memory: Array, theta: Array, seconds: float, innovation: Innovation, gain: Array, is_used: bool
 ) -> Array:
@@ -334,7 +319,13 @@ def updated_memory(
                 of_model += unweighted * WG[j, k] * W[j, k] / 3.0
         out[ekf.FACTORS + i] = max(out[ekf.FACTORS + i] * (1.0 + excess / count), 1.0)
         growth += excess * min(of_model, 1.0) / ERROR_COUNT
-    along, square = _along(innovation, innovation.H[:, LATENCY])
+    along = square = 0.0
+    for i in range(6):
+        by = 0.0
+        for j in range(i + 1):
+            by += W[i, j] * innovation.H[j, LATENCY]
+        along += z[i] * by
+        square += by * by
     of_jitter = unweighted * out[ekf.JITTER] * square
     if square > 0.0:
         growth_of_jitter = (along * along / square - 1.0) * min(of_jitter, 1.0) / ERROR_COUNT
@@ -376,20 +367,6 @@ def significance(theta: Array, P: Array, prior: Array) -> Array:
         gained = max(prior[i] - P[MASS + i, MASS + i], LEAST_KNOWN * prior[i], 1e-99)
         out[i] = abs(theta[i]) / math.sqrt(gained)
     return out
-
-
-@kernel
-def rise_ratio(body: State, gravity: Vector, innovation: Innovation, sag: float) -> float:
-    """
-    Return the log-likelihood ratio of a rise by the sag of the cup (m).
-
-    From contact on, a support takes the weight off the cup, which shortens by its sag.
-    """
-    n = t3.apply_transposed(t3.rotation_matrix(body[1]), gravity)
-    g = t3.norm(gravity)
-    along, square = _along(
-        innovation, np.array((n[0] / g, n[1] / g, n[2] / g, 0.0, 0.0, 0.0)))
-    return -sag * (along + 0.5 * sag * square)
 
 
 RELATIVE_ROUNDING = 1e-12
@@ -498,8 +475,6 @@ class Corrected(NamedTuple):
     """Whitened innovation (6,)."""
     whitener: Array
     """Triangular matrix (6, 6)."""
-    rise: float
-    """Log-likelihood ratio of a rise by the sag of the cup near a support."""
     means: Means
     """Moving means with this innovation."""
     changes: Array
@@ -524,12 +499,12 @@ def filter_step(
     given. Other inputs are as for `model_of` and `predicted`. One kernel, with the model as an
     array, is faster to call from Python.
     """
-    nominal, seconds, rise = kernels.model_of(row, law), (until_ns - estimate[0]) / NS_PER_S, 0.0
+    nominal, seconds = kernels.model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     after, gain = ekf.predicted(
         nominal, estimate, samples, is_recorded, until_ns, max_step, noise)
     _, tool, body, theta, P, memory = after
     if seen.gate == 0.0:
-        return Corrected(USED, after, body, np.zeros(6), gain[:6, :6].copy(), rise,
+        return Corrected(USED, after, body, np.zeros(6), gain[:6, :6].copy(),
                          seen.means, significance(theta, P, seen.prior))
     model = with_theta(nominal, theta)
     exposed = at_exposure(model, tool, body, theta)
@@ -551,9 +526,7 @@ def filter_step(
             verdict = OUTSIDE
         if learns:
             memory = updated_memory(memory, theta, seconds, innovation, gain, verdict == USED)
-        if seen.sag > 0.0 and verdict == USED:
-            rise = rise_ratio(body, nominal[2], innovation, seen.sag)
     weight = math.sqrt(max(innovation.distance / OUTLIER_DISTANCE, 1.0))
     return Corrected(verdict, (until_ns, tool, body, theta, P, memory), exposed,
-                     weight * innovation.z, weight * innovation.whitener, rise,
+                     weight * innovation.z, weight * innovation.whitener,
                      moved_means(seen.means, innovation.z), significance(theta, P, seen.prior))

@@ -301,8 +301,6 @@ class Observer:
             self._predict_from(self._correction.released(self._estimates[-1]))
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
-        if self._estimates[-1].away_ns > 0 and not self._has_left:
-            self._note_silence(stamp_ns)
         return prediction
 
     @property
@@ -516,15 +514,6 @@ class Observer:
         bodies, k = self._track.rows[3], self._track.after(measurement.stamp_ns) - 1
         return self.counts['used'] >= alarms.KNOWN_COUNT and self._support.is_below_way(
             measurement.position, row_state(bodies[k])[0])
-
-    def _note_silence(self, stamp_ns: int) -> None:
-        """Detect a camera without poses after the package has left its reach."""
-        last, last_ns = self._estimates[-1], self._last_ns[-1]
-        if stamp_ns - last_ns <= self._camera_silence_ns:
-            return
-        is_wrong_pose = bool(self._is_held) and last_ns - last.away_ns < LOST_AFTER_NS
-        self._estimates[-1] = last._replace(away_ns=0) if is_wrong_pose else (
-            self._judged_away(last, stamp_ns))
 
     @property
     def departs(self) -> bool:

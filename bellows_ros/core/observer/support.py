@@ -39,8 +39,9 @@ class Support:
     Detect when a support may carry the package.
 
     A support carries the package from the grip until the tool has lifted it. It may be near at the
-    height of the last grip, and from a straight descent until the tool rises again. Without a grip
-    the package is always held, and no support is near.
+    height of the last grip, and from a straight descent until the tool rises again; from the stop
+    of the tool on it carries the package. Without a grip the package is always held, and no
+    support is near.
     """
 
     def __init__(self) -> None:
@@ -83,8 +84,8 @@ class Support:
                     if first <= stamp_ns and (last == 0 or stamp_ns <= last)), default=0)
 
     def _end(self, stamp_ns: int) -> None:
-        first, _, kind = self._times[-1]
-        self._times[-1], self._stop_height = (first, stamp_ns, kind), None
+        self._times = [(first, last or stamp_ns, kind) for first, last, kind in self._times]
+        self._stop_height = None
 
     def _height(self, position: Vector) -> float:
         return t3.dot(self._up, position)
@@ -131,6 +132,7 @@ class Support:
                 return 'leaves'
             if self._times[-1][2] == NEAR and self._stop_height is None and way < self._lift:
                 self._stop_height = height - way
+                self._times.append((stamp_ns, 0, CONTACT))
                 return 'meets'
             return ''
         self._may_reach |= height > self._grip_height + 2.0 * self._lift

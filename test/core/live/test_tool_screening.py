@@ -106,7 +106,7 @@ def test_new_frame_or_place_is_accepted_if_no_other_message_comes(period_ns, cou
     verdicts = driver.send(count, **now)
     assert time_to_recover(driver, verdicts) <= RECOVERED_WITHIN_NS
     assert [v for v in verdicts if v in RESTARTS] == [restart]
-    assert driver.screen.frame.name == now.get('frame', 'base')
+    assert driver.screen.frame == now.get('frame', 'base')
 
 
 def test_tool_that_comes_to_rest_may_repeat_its_pose():

@@ -159,7 +159,7 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
             model_row(model), law_of(model), (0, tool[60], body, none, P.copy(), MEMORY),
             (np.zeros(1, int), *np.zeros((3, 1, 25)), 1), False, 0, 1.0,
             (NO_DRIVE, np.zeros(states.ROWS), False),
-            MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, 0.0, np.inf,
+            MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, np.inf,
                          NO_MEANS, np.ones(4)),
             False, False)
         z, W = step.z, step.whitener
