@@ -18,7 +18,6 @@ from trajectory_msgs.msg import (
 )
 
 from .conftest import LATCHED, MS, PACKAGE, START
-from ..report.test_foreign_text import require_harmless, URDF
 
 INVALID = b'\xed\xb0\x80\xff\xed\xb0\x80\xff'  # a surrogate, and no UTF-8
 MARK = 'M' * len(INVALID)
@@ -27,7 +26,17 @@ VALUES = {
     **PACKAGE, 'package.size': [0.1, 0.1, 0.1], 'landing.height': -1.0, 'tool_link': 'tool',
     'vacuum.signal': 'pressure', 'cup.layout': [0.05, 0.0, 0.0, -0.05, 0.0, 0.0],
     'cup.lip_radius': 0.02, 'vacuum.holding': 60000.0}
+URDF = """<robot name="arm"><link name="base"/><link name="tool"/>
+<joint name="one" type="revolute"><parent link="base"/><child link="tool"/>
+<origin xyz="0 0 1" rpy="0 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1"/></joint></robot>"""
 WORDS = ('world', 'tool', 'one', 'revolute', '0 0 1', '-1', 'arm')
+
+
+def require_harmless(text):
+    """Refuse control characters and floods."""
+    assert all(c.isprintable() or c == '\n' for c in text), repr(text[:300])
+    assert text.encode() and len(text) <= 3000
 
 
 def sound(kind):

@@ -179,8 +179,8 @@ def test_the_example_names_every_setting(root, monkeypatch):
     """Ask for nothing that the example does not have."""
     missing, done = set(), Settings.done
 
-    def noticing(self, ignored=()):
-        done(self, ignored)
+    def noticing(self):
+        done(self)
         missing.update(self.name(name) for name in self._asked if name not in self)
 
     monkeypatch.setattr(Settings, 'done', noticing)
