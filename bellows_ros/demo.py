@@ -17,13 +17,14 @@ from typing import Any
 
 from bellows_ros import plots
 from bellows_ros.core import configure_process
-from bellows_ros.core.geometry.jit import is_new
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, require_pictures
+from bellows_ros.exits import guarded
 from bellows_ros.files import bags, messages, parameter_files
 from bellows_ros.nodes.command import require_ros
 from bellows_ros.nodes.domain import isolate
@@ -31,25 +32,23 @@ from bellows_ros.workflows import identification, identify
 from bellows_ros.workflows.recordings import load as load_recording
 import numpy as np
 
-BAGS = 'identification', 'validation', 'package.yaml'
-"""What the folder of recordings holds."""
-
 MAX_ERROR = 2.0
 """Largest RMS error of a prediction relative to the measured noise; 1.0 for a perfect cup."""
 
 TIMEOUT = 300.0
 """Longest wait for an answer of the predictor, s; without a cache it compiles for a minute."""
 
-POSES, TWISTS = 'tool_arm/pose', 'tool_arm/twist'
+TOPICS = {'topics.tool_twist': 'tool_arm/twist', 'topics.tool_pose': 'tool_arm/pose'}
+"""Played topics by the parameters with their recorded names."""
 
-PROBES = 20
-"""Number of answered probes after which messages arrive in both directions."""
-
-PROBE_PERIOD = 0.05
-"""Time between two probes, and of their stamps, s."""
+PERIOD = 0.05
+"""Time between two messages before the recording, and of their stamps, s."""
 
 QUEUE = 10_000
 """Length of the queues, messages, so that none is lost while a process is busy."""
+
+Rows = Sequence[tuple[str, int, bytes]]
+"""Messages to play: topic, time of recording (ns) and bytes."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -57,63 +56,43 @@ def main(args: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog='python -m bellows_ros.demo',
         description='Identify a cup, predict another recording live over DDS, and compare.')
-    for name, default, what in (('bags', 'bags', f'has {", ".join(BAGS)}'),
+    for name, default, what in (('bags', 'bags', 'has identification, validation, package.yaml'),
                                 ('out', 'demo_output', 'gets picture, cup, fit and log')):
         parser.add_argument(f'--{name}', metavar='FOLDER', type=Path, default=Path(default),
                             help=f'{what} (default: %(default)s)')
     arguments = parser.parse_args(args)
-    try:
-        return run(arguments.bags, arguments.out)
-    except BellowsError as error:
-        print(f'demo: {error}', file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt:
-        return 128 + signal.SIGINT
+    return guarded(lambda: run(arguments.bags, arguments.out))
 
 
 def run(folder: Path, out: Path) -> int:
     """Identify, predict live, compare, and print the result."""
-    begun = time.monotonic()
     require_ros()
     require_pictures()
-    fitted, validated, package = (folder / name for name in BAGS)
-    if missing := [each for each in (fitted, validated, package) if not each.exists()]:
-        raise BellowsError(
-            f"'{missing[0]}' does not exist. Start in the folder that contains bags, or give it "
-            "with --bags; 'make bags' simulates the recordings again.")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BellowsError(f"Output folder '{out}' cannot be created: {error.strerror}. Give "
-                           'another with --out.') from None
-    if is_new():
-        print('Compiling (once a version): about a minute.', flush=True)
-    print(f'1. Identify the cup from {fitted}', flush=True)
-    given = parameter_files.read_parameters(package)
-    result = identify.identify(
-        resolve({**given, 'bags': [str(fitted)]}, PACKAGE_PARAMETERS), show_progress)
+    fitted, validated, package = (
+        folder / name for name in ('identification', 'validation', 'package.yaml'))
+    given = resolve({**parameter_files.read_parameters(package), 'bags': [str(fitted)]},
+                    PACKAGE_PARAMETERS)
+    rows = [(TOPICS[each], message.log_time_ns, message.data) for each in TOPICS
+            for message in bags.read_messages(validated, [given[each]])]
+    out.mkdir(parents=True, exist_ok=True)
+    print(f'1. Identify the cup from {fitted} (compiles once a version, about a minute)',
+          flush=True)
+    result = identify.identify(given)
     identification.save(result, out / 'cup.yaml', out / 'fit.json')
     print(f'2. Start the node predictor with it, and play {validated} to it over DDS', flush=True)
-    settings = resolve({**given, **result.parameters()}, PACKAGE_PARAMETERS)
     predicted, latency = _predict_live(
-        validated, settings, (out / 'cup.yaml', package), out / 'predictor.log')
+        sorted(rows, key=lambda row: row[1]), (out / 'cup.yaml', package), out / 'predictor.log')
     print('3. Compare its poses with the measured ones\n')
-    is_accurate = _compare(validated, settings, predicted, out / 'demo.png')
+    is_accurate = _compare(
+        validated, given.replaced(result.parameters()), predicted, out / 'demo.png')
     median, high = 1e6 * np.percentile(latency, (50, 99))
     print(f'\nLatency, from sending a pose to receiving its prediction: p50 {median:.0f} us, '
           f'p99 {high:.0f} us\nAll of {len(latency)} poses were answered.\n\n'
-          f'Wrote demo.png, cup.yaml and fit.json to {out}, after '
-          f'{time.monotonic() - begun:.0f} s.\n'
+          f'Wrote demo.png, cup.yaml and fit.json to {out}.\n'
           'Next, look at a recording of yours: bellows info BAG')
     if not is_accurate:
         print(f'Errors exceed {MAX_ERROR:g} times the noise: the prediction is not usable.')
     return 0 if is_accurate else 1
-
-
-def show_progress(stage: str, fraction: float = 0.0) -> None:
-    """Show a step and its completed fraction on a terminal."""
-    if sys.stderr.isatty():
-        print(f'\r\x1b[K{stage} {100.0 * fraction:3.0f} %', end='', file=sys.stderr, flush=True)
 
 
 def _compare(bag: Path, values: Values, predicted: Trajectory, picture: Path) -> bool:
@@ -138,16 +117,13 @@ def _compare(bag: Path, values: Values, predicted: Trajectory, picture: Path) ->
 
 
 def _predict_live(
-    bag: Path, settings: Values, parameters: Sequence[Path], log: Path
-) -> tuple[Trajectory, np.ndarray]:
-    """Play a recording to the node; return its poses, and their latencies (s)."""
+    rows: Rows, parameters: Sequence[Path], log: Path
+) -> tuple[Trajectory, Array]:
+    """Play messages to the node; return its poses, and their latencies (s)."""
     from rclpy.context import Context
 
-    topics = {settings['topics.tool_pose']: POSES, settings['topics.tool_twist']: TWISTS}
-    rows = [(topics[each.topic], each.log_time_ns, each.data)
-            for each in bags.read_messages(bag, topics)]
     words = [word for file in parameters for word in ('--params-file', str(file))]
-    for topic in topics.values():  # no message is lost
+    for topic in TOPICS.values():  # no message is lost
         for setting in ('reliability:=reliable', f'depth:={QUEUE}'):
             words += ['-p', f'qos_overrides./{topic}.subscription.{setting}']
     with tempfile.TemporaryDirectory(prefix='bellows_log_') as logs, log.open('wb') as output:
@@ -159,10 +135,13 @@ def _predict_live(
             context = Context()
             context.init(args=[])
             try:
-                answers = _Player(context, process, log).play(rows)
+                answers = _play(rows, context, lambda: process.poll() is None)
             finally:
                 context.try_shutdown()
                 process.send_signal(signal.SIGINT)  # like Ctrl-C
+    if not answers:
+        raise BellowsError(f'The predictor does not answer all poses. See its log, {log}, and '
+                           'whether DDS may use the loopback interface.')
     sent, arrived, data = zip(*answers, strict=True)
     stamps, _, poses = zip(*map(messages.Decoder(messages.POSE), data), strict=True)
     numbers = np.array(poses)
@@ -170,71 +149,61 @@ def _predict_live(
             np.subtract(arrived, sent) / NS_PER_S)
 
 
-class _Player:
-    """Messages of the tool played to the node, and its answers by their stamps."""
+def _play(
+    rows: Rows, context: Any, is_running: Callable[[], bool]
+) -> list[tuple[int, int, bytes]]:
+    """
+    Play messages in time; return times of sending and arrival, and answer; none if one is missing.
 
-    def __init__(self, context: Any, process: subprocess.Popen[bytes], log: Path) -> None:
-        from geometry_msgs.msg import PoseStamped, TwistStamped
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-        from std_srvs.srv import Trigger
+    Before, the tool stands still, an hour earlier, until the predictor answers: messages arrive in
+    both directions then, and kernels are compiled. A reset discards that.
+    """
+    from geometry_msgs.msg import PoseStamped, TwistStamped
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from std_srvs.srv import Trigger
 
-        self._process, self._log = process, log
-        self._answers: dict[bytes, tuple[int, bytes]] = {}
-        node = Node('demo', context=context)
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(node)
-        self._writers = {name: node.create_publisher(kind, name, QUEUE) for name, kind in (
-            (TWISTS, TwistStamped), (POSES, PoseStamped))}  # a pose then has its twist
-        node.create_subscription(PoseStamped, 'package/pose', self._receive, QUEUE, raw=True)
-        self._reset, self._request = node.create_client(
-            Trigger, 'predictor/reset'), Trigger.Request()
+    node, executor = Node('demo', context=context), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    kinds = dict(zip(TOPICS.values(), (TwistStamped, PoseStamped), strict=True))
+    writers = {name: node.create_publisher(kind, name, QUEUE) for name, kind in kinds.items()}
+    answers, sent = dict[bytes, tuple[int, bytes]](), dict[bytes, int]()  # by their stamps
+    reset = node.create_client(Trigger, 'predictor/reset')
 
-    def _receive(self, data: Any) -> None:
-        """Store an answer with its arrival (ns)."""
-        self._answers.setdefault(data[4:12], (time.monotonic_ns(), data))
+    def receive(data: Any) -> None:
+        answers.setdefault(data[4:12], (time.monotonic_ns(), data))
 
-    def _wait(self, failure: str, done: Callable[[], bool]) -> None:
-        """Spin until a condition holds; raise BellowsError after `TIMEOUT`."""
+    node.create_subscription(PoseStamped, 'package/pose', receive, QUEUE, raw=True)
+
+    def wait(is_done: Callable[[], bool]) -> None:
         deadline = time.monotonic() + TIMEOUT
-        while not done():
-            if self._process.poll() is not None or time.monotonic() > deadline:
-                raise BellowsError(
-                    f'The predictor {failure} (at most {TIMEOUT:g} s waited). See its log, '
-                    f'{self._log}, and whether DDS may use the loopback interface.')
-            self._executor.spin_once(timeout_sec=PROBE_PERIOD)
+        while not is_done() and is_running() and time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=PERIOD)
 
-    def play(self, rows: Sequence[tuple[str, int, bytes]]) -> list[tuple[int, int, bytes]]:
-        """
-        Play messages (topic, time, data) in time; return times of sending and arrival, and answer.
+    still_ns, at_rest = rows[0][1] - 3600 * NS_PER_S, (6 * [0.0], [*(6 * [0.0]), 1.0])
 
-        Before, the predictor answers probes, an hour earlier: messages arrive in both directions
-        then, and kernels are compiled. Its reset discards the probes.
-        """
-        self._wait('does not appear', lambda: self._reset.service_is_ready() and all(
-            each.get_subscription_count() for each in self._writers.values()))
-        probe_ns = rows[0][1] - 3600 * NS_PER_S
+    def stand_still() -> bool:
+        nonlocal still_ns
+        still_ns += round(PERIOD * NS_PER_S)
+        for writer, kind, numbers in zip(
+                writers.values(), (messages.TWIST, messages.POSE), at_rest, strict=True):
+            writer.publish(messages.pack(kind, ('world',), still_ns, *numbers))
+        return bool(answers)
 
-        def is_answered() -> bool:
-            nonlocal probe_ns
-            probe_ns += round(PROBE_PERIOD * NS_PER_S)
-            still = 6 * [0.0]
-            for name, kind, numbers in ((TWISTS, messages.TWIST, still),
-                                        (POSES, messages.POSE, [*still, 1.0])):
-                self._writers[name].publish(messages.pack(kind, ('world',), probe_ns, *numbers))
-            return len(self._answers) >= PROBES
-
-        self._wait('does not answer', is_answered)
-        self._wait('does not answer its reset', self._reset.call_async(self._request).done)
-        sent, ahead_ns = dict[bytes, int](), time.monotonic_ns() - rows[0][1]
-        for name, log_ns, data in rows:
-            while (left_ns := log_ns + ahead_ns - time.monotonic_ns()) > 0:
-                self._executor.spin_once(timeout_sec=left_ns / NS_PER_S)
-            if name == POSES:
-                sent[data[4:12]] = time.monotonic_ns()
-            self._writers[name].publish(data)
-        self._wait('does not answer all poses', lambda: sent.keys() <= self._answers.keys())
-        return [(sent_ns, *self._answers[stamp]) for stamp, sent_ns in sent.items()]
+    wait(lambda: reset.service_is_ready() and all(
+        each.get_subscription_count() for each in writers.values()))
+    wait(stand_still)
+    wait(reset.call_async(Trigger.Request()).done)
+    ahead_ns = time.monotonic_ns() - rows[0][1]
+    for name, log_ns, data in rows:
+        while (left_ns := log_ns + ahead_ns - time.monotonic_ns()) > 0:
+            executor.spin_once(timeout_sec=left_ns / NS_PER_S)
+        if kinds[name] is PoseStamped:
+            sent[data[4:12]] = time.monotonic_ns()
+        writers[name].publish(data)
+    wait(lambda: sent.keys() <= answers.keys())
+    return [(sent_ns, *answers[stamp]) for stamp, sent_ns in sent.items()] if (
+        sent.keys() <= answers.keys()) else []
 
 
 if __name__ == '__main__':

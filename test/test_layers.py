@@ -23,7 +23,7 @@ ALLOWED = {
     'plots': {'core', 'files', 'workflows', SENTENCES},
     'report': {'core', 'files', 'workflows', 'plots', SENTENCES},
     'cli': {'core', 'exits', 'files', 'workflows', 'plots', 'report', 'nodes', SENTENCES},
-    'demo': {'core', 'files', 'workflows', 'nodes', 'cli', 'plots', 'report', SENTENCES},
+    'demo': {'core', 'exits', 'files', 'workflows', 'nodes', 'plots', 'report', SENTENCES},
 }
 FOR_ALL = {'errors', 'version'}
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
