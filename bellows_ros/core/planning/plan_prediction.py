@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.geometry.tuples import Quaternion
 from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
@@ -33,7 +33,7 @@ MAX_TAIL = 30.0
 COARSE_STEP_FACTOR = 3.0
 """Ratio of coarse and normal integration steps; accurate to 1e-4."""
 
-PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'rigid_moment', 'swing')
+PEAKS = ('peel', 'slip', 'bending', 'deflection', 'force', 'moment', 'swing')
 """Quantities whose peaks are stored: loads (1), angles (rad), deflection (m), force (N), moments
 (N m)."""
 
@@ -41,8 +41,8 @@ NO_ABORT = np.zeros(1, np.bool_)
 """Flag that never stops a prediction."""
 
 Extremes = tuple[Array, Array, Array]
-"""Three arrays: peaks (8, 3) as in `PlanPrediction`; times and values of the two previous samples
-(8, 4); smallest and largest deflection and largest twist of the lip (6, 3)."""
+"""Three arrays: peaks (7, 3) as in `PlanPrediction`; times and values of the two previous samples
+(7, 4); smallest and largest deflection and largest twist of the lip (6, 3)."""
 Watch = tuple[Extremes, float, Mask]
 """Stored results, the load above which a simulation ends, and the flag (1,) that ends it."""
 
@@ -64,7 +64,7 @@ class PlanPrediction(NamedTuple):
         Wrench of the cup on the package at S, in S axes, N and N m.
     loads : array (N, 2)
         1 / safety factor against peel and slip; meaningless without a grip model.
-    peaks : array (8, 3)
+    peaks : array (7, 3)
         Largest value of each of `PEAKS` and its time, s since the plan's first point; for the
         loads also the cup, as a row of the grip.
     settled_after : float
@@ -115,7 +115,6 @@ class PlanPrediction(NamedTuple):
         return {
             'smallest_safety_factor': factor, 'smallest_safety_time': time,
             **{f'peak_{name}': peak[name] for name in PEAKS[2:6]},
-            'rigid_peak_moment': peak['rigid_moment'],
             'swing_left': peak['swing'] if self.ends_at_rest else math.nan,
             'settled_after': self.settled_after if self.ends_at_rest else math.nan}
 
@@ -237,12 +236,6 @@ def slowed(state: State, factor: float) -> State:
 
 
 @kernel
-def rigid_velocity(tool: State, arm: Vector) -> Vector:
-    """Return the velocity in the world (m/s) of a point fixed at `arm` in the tool."""
-    return t3.apply(t3.rotation_matrix(tool[1]), t3.add(tool[2], t3.cross(tool[3], arm)))
-
-
-@kernel
 def update_peak(extremes: Extremes, i: int, t: float, value: float) -> bool:
     """
     Store the largest value of a quantity, and return whether it increased.
@@ -305,11 +298,9 @@ def _simulate_plan(
     Return the final state and its time (s), and whether all loads are below the ceiling.
     """
     (rows, durations, duration_scale), (extremes, ceiling, stop) = plan, watch
-    arm = (model[1][1][0], model[1][1][1], model[1][1][2] - model[0][1])
-    (states, wrench, loads), (peaks, _, _) = samples, extremes
+    states, wrench, loads = samples
     body, tool, t = start, slowed(simulation.row_state(rows[0]), duration_scale), 0.0
     simulation.write_row(states[0], body)
-    velocity = rigid_velocity(tool, arm)
     if record_sample(model, grip, tool, body, t, wrench[0], loads[0], extremes) > ceiling:
         return body, t, False
     for k in range(len(durations)):
@@ -330,12 +321,6 @@ def _simulate_plan(
                 model, grip, tool, body, now, wrench[k + 1], loads[k + 1], extremes)
             if load > ceiling:
                 return body, now, False
-            before, velocity = velocity, rigid_velocity(tool, arm)
-            felt = t3.subtract(t3.scale(1.0 / h, t3.subtract(velocity, before)), model[2])
-            lever = t3.apply(t3.rotation_matrix(tool[1]), model[1][1])
-            moment = model[1][0] * t3.norm(t3.cross(lever, felt))  # as for one rigid body
-            if moment > peaks[6, 0]:
-                peaks[6, 0], peaks[6, 1] = moment, now - 0.5 * h
         t += duration
         simulation.write_row(states[k + 1], body)
     return body, t, True
@@ -355,13 +340,13 @@ def _simulate_decay(
     wrench, loads = np.empty(6), np.empty(2)
     tool = slowed(tool, math.inf)
     settled, angle = 0.0, t3.norm(t3.rotation_between(hanging, body[1]))
-    update_peak(extremes, 7, t, angle)
+    update_peak(extremes, 6, t, angle)
     for i in range(count):
         before, since = angle, (i + 1.0) * h
         body = kernels.step(model, body, tool, tool, tool, h)
         load = record_sample(model, grip, tool, body, t + since, wrench, loads, extremes)
         angle = t3.norm(t3.rotation_between(hanging, body[1]))
-        update_peak(extremes, 7, t + since, angle)
+        update_peak(extremes, 6, t + since, angle)
         if load > ceiling or angle > OVERTURN_ANGLE or stop[0]:
             return math.inf
         if angle > SETTLED_ANGLE:
