@@ -54,8 +54,6 @@ usual standard deviation of an inertia by CAD."""
 SIGMAS = 3.0
 """Number of stated standard deviations beyond which an estimate is a finding of its own."""
 
-CLOCK_RATE = 'rate of the clocks (ppm)'
-
 FREE_PARAMETERS = {
     'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
     'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
@@ -167,13 +165,7 @@ class FitVerdict(NamedTuple):
                 'package.inertia', inertia):
             found.append(Finding('doubtful_mass', Level.WARN, {
                 'factor': math.exp(-self.log_inertia_ratio)}))
-        found += self._off_given(Level.WARN)
-        if self.found:
-            values = ', '.join(
-                f'{name} [{", ".join(f"{x:.4g}" for x in value)}] (given {off} off)'
-                for name, (value, off, _) in self.found.items())
-            found.append(Finding('found_values', Level.OK, {'values': values}))
-        return tuple(found)
+        return (*found, *self._off_given(Level.WARN))
 
     def _in_order(self, name: str, value: Array) -> str:
         """Return a sentence on moments of inertia that were given in another order, or ''."""
@@ -299,18 +291,14 @@ def _found(
     std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
                                     if name not in ('exposure', *fit.named)}
     estimates = estimates_of(recording.payload, free, length)
-    found = [
+    found = sorted((
         (float(np.max(np.abs(free[name]) / std[name])), topic, value, f'{size:.2g} {unit}')
         for name, topic, value, size, unit in (
             *((name, FREE_PARAMETERS[name][0], estimates[name], 1e3 * np.linalg.norm(
                 free.get(name, 0.0)), 'mm') for name in ('com', 'length')),
             ('inertia', 'package.inertia', estimates['inertia'], 100.0 * np.max(np.abs(np.expm1(
-                free.get('inertia', 0.0)))), '%'),
-            ('clock_rate', CLOCK_RATE, 1e6 * free.get('clock_rate', np.zeros(1)), 1e6 * np.max(
-                np.abs(free.get('clock_rate', 0.0))), 'ppm')) if name in free and name in std]
-    found.sort(key=itemgetter(0), reverse=True)
-    if not found or found[0][0] <= 0.5:  # standard deviations
-        return {}
+                free.get('inertia', 0.0)))), '%')) if name in free and name in std),
+        key=itemgetter(0), reverse=True)
     return {topic: (value, change, pull) for pull, topic, value, change in found}
 
 
