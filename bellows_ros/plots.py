@@ -15,7 +15,13 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3, quaternion_to_rotation
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.residuals import AXES, Comparison, DISPLAY_FACTORS, DISPLAY_UNITS
+from bellows_ros.core.signals.residuals import (
+    AXES,
+    Comparison,
+    DISPLAY_FACTORS,
+    DISPLAY_UNITS,
+    relative_coordinates,
+)
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.toss.landing import ellipse
 from bellows_ros.errors import BellowsError, require_pictures, shown
@@ -136,34 +142,39 @@ CommandResult.figure = figure_of
 
 
 def comparison_figure(
-    seconds: Array, comparison: Comparison, title: str, note: str, of_tag: bool = False
+    seconds: Array, comparison: Comparison, title: str, note: str,
+    whole: tuple[Array, Array] | None = None,
 ) -> Any:
     """
     Draw predicted and measured coordinates (N, 6) over time (s), each with its error below.
 
-    Lines are interrupted at missing values. Poses of a tag are points, beside a whole prediction.
+    Lines are interrupted at missing values. Poses of a tag are points, beside times (s) and
+    coordinates (M, 6) of the whole prediction.
     """
     steps = np.diff(seconds)
-    gaps = np.flatnonzero(steps > (np.inf if of_tag else GAP_PERIODS) * np.median(steps)) + 1
-    style = {'linestyle': '', 'marker': '.', 'markersize': 2.0} if of_tag else {'linewidth': 3.6}
+    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
+    points: Mapping[str, Any] = {'linestyle': '', 'marker': '.', 'markersize': 2.0}
+    wide, thin = (points, points) if whole else ({'linewidth': 3.6}, {'linewidth': 0.6})
+    error = 'noise of the tag' if whole else 'error'
     t, measured, predicted = (np.insert(rows, gaps, np.nan, axis=0) for rows in (
         seconds, DISPLAY_FACTORS * comparison.measured, DISPLAY_FACTORS * comparison.predicted))
+    curve = (whole[0], DISPLAY_FACTORS * whole[1]) if whole else (t, predicted)
     scores = comparison.scores
     with picture(title, note, (11.0, 8.4)) as figure:
         panels = figure.subplots(6, 2, sharex=True, height_ratios=(3.2, 1.0) * 3)
         for i, (axis, unit, factor) in enumerate(
                 zip(AXES, DISPLAY_UNITS, DISPLAY_FACTORS, strict=True)):
             upper, lower = panels[2 * (i % 3):2 * (i % 3) + 2, i // 3]
-            upper.plot(t, measured[:, i], color=MEASURED, label='measured', **style)
-            upper.plot(t, predicted[:, i], color=PREDICTED, linewidth=0.9, label='predicted')
-            lower.plot(t, (predicted - measured)[:, i], color=ERROR, linewidth=0.6,
-                       label='predicted minus measured')
+            upper.plot(t, measured[:, i], color=MEASURED, label='measured', **wide)
+            upper.plot(curve[0], curve[1][:, i], color=PREDICTED, linewidth=0.9, label='predicted')
+            lower.plot(t, (predicted - measured)[:, i], color=ERROR,
+                       label='predicted minus measured', **thin)
             low, high = upper.get_ylim()
             lack = 0.5 * max(0.0, MIN_SPAN[i] - (high - low))
             upper.set_ylim(low - lack, high + lack)
             upper.set_ylabel(f'{axis} ({unit})')
-            lower.set_ylabel('error', color=ERROR)
-            upper.set_title(f'error RMS {factor * scores.rms[i]:.2g} {unit}, largest '
+            lower.set_ylabel(error.split()[0], color=ERROR)
+            upper.set_title(f'{error} RMS {factor * scores.rms[i]:.2g} {unit}, largest '
                             f'{factor * scores.largest[i]:.2g} {unit}', loc='right', fontsize=8.5)
         for panel in panels[-1]:
             panel.set_xlabel('time (s)')
@@ -174,10 +185,11 @@ def comparison_figure(
 
 def replay_figure(result: Any) -> Any:
     """Draw the free simulation of a replay."""
+    found, since = result.validation, result.recording.since_start
     return comparison_figure(
-        result.recording.since_start(result.validation.stamps_ns), result.validation,
-        'Package: predicted, and measured', f'{result.bag}, relative to the tool',
-        result.validation.corners is not None)
+        since(found.stamps_ns), found, 'Package: predicted, and measured',
+        f'{result.bag}, relative to the tool', found.corners and (
+            since(found.tool.stamps_ns), relative_coordinates(found.tool, found.package)))
 
 
 def plan_figure(report: Any) -> Any:
