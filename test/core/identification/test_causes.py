@@ -67,7 +67,8 @@ def diagnosed(laboratory):
 
 
 @pytest.mark.parametrize(('fault', 'cause', 'size'), [
-    ('scale', 'scale', lambda own: 1.0 / own.magnified - 1.0),
+    pytest.param('scale', 'scale', lambda own: 1.0 / own.magnified - 1.0,
+                 marks=pytest.mark.stress),
     ('clocks drift', 'clock_rate', lambda own: own.clock_rate)])
 def test_a_cause_is_first_and_sized(fault, cause, size):
     laboratory = faulty(fault, 1, **QUICK)

@@ -85,6 +85,7 @@ def test_predicts_real_drops_of_a_mass_left_out(left_out):
 
 
 @REAL
+@pytest.mark.stress
 def test_the_lightest_and_the_heaviest_left_out_are_where_their_uncertainty_says():
     """Nine of ten heights and velocities at the end within 95 %, which is no more than needed."""
     data, by_mass = drops.real_drops(most=3)
