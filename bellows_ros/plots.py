@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import apply, exp_so3, quaternion_to_rotation
+from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import (
@@ -252,14 +252,11 @@ def steer_figure(report: Any) -> Any:
 
 def toss_figure(result: Any) -> Any:
     """Draw a toss from the side and from above, and its landing enlarged."""
-    toss, case, tool = result.toss, result.case, result.source.tool.position
-    start, q, velocity, *_ = map(np.array, toss.release)
-    t = np.linspace(0.0, toss.landing_time - toss.release_time, 60)[:, None]
-    path = start + t * apply(quaternion_to_rotation(q), velocity) + 0.5 * t**2 * np.array(
-        case.held.model[2])
-    landing = np.array(toss.landing[0][:2])
-    held = case.held.states[case.held.times <= toss.release_time]
-    switched = held[np.searchsorted(case.held.times[:len(held)], case.switched) - 1]
+    toss, case, landing = result.toss, result.case, np.array(result.toss.landing[0][:2])
+    ((tool, package),) = result.scenes().values()
+    held, path = np.split(
+        package.position, [np.searchsorted(package.seconds, toss.release_time)])
+    switched = held[np.searchsorted(package.seconds[:len(held)], case.switched) - 1]
     note = (f'{result.source.path}: valve {case.switched:.3f} s, lets go {toss.release_time:.3f} '
             f's, lands {toss.landing_time:.3f} s')
     with picture('Toss', note, (11.0, 7.2)) as figure:
@@ -267,7 +264,8 @@ def toss_figure(result: Any) -> Any:
             [['side', 'side'], ['above', 'close']], width_ratios=(2.0, 1.0)).values()
         for panel, rows in ((side, [0, 2]), (above, [0, 1])):
             for points, mark, colour, name in (
-                    (tool, '-', MEASURED, 'tool'), (held, '--', PREDICTED, 'package, held'),
+                    (tool.position, '-', MEASURED, 'tool'),
+                    (held, '--', PREDICTED, 'package, held'),
                     (path, '-', PREDICTED, 'package, flying'),
                     (switched[None], 'v', TEXT, 'valve'), (path[:1], 'o', TEXT, 'lets go')):
                 panel.plot(*points[:, rows].T, mark, color=colour, linewidth=1.2, label=name)

@@ -18,7 +18,7 @@ from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
-from bellows_ros.core.recording.recording import PackageWorld, Recording, TimeOffset
+from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
@@ -33,9 +33,8 @@ from bellows_ros.workflows.recordings import (
     is_measured,
     offset_finding,
     values_of_each,
-    world_finding,
 )
-from bellows_ros.workflows.static import length_sentence, StaticResult
+from bellows_ros.workflows.static import StaticResult
 from bellows_ros.workflows.verdict import estimates_of, FitVerdict, FREE_PARAMETERS
 import numpy as np
 
@@ -242,14 +241,6 @@ class Identification(CommandResult):
         """Change (3,) of the given centre of mass by the fit, m."""
         return np.asarray(self.fit.nuisances.get('com', np.zeros((1, 3)))[0])
 
-    def _final_world(self, number: int) -> PackageWorld | None:
-        """Return the estimated pose of the package's world after the fit, or None."""
-        world = self.parts[number].package_world
-        if world is None or number >= len(self.recordings):
-            return world
-        text = dict(self._frames(number))['recording.package_world'][0]
-        return world._replace(pose=alignment.pose_of(text))
-
     def _frames(self, number: int) -> Iterator[tuple[str, tuple[Any, Array, str]]]:
         """Yield the estimates of world, marker and clock from a recording."""
         recording = self.recordings[number]
@@ -303,29 +294,18 @@ class Identification(CommandResult):
                 *map(text_of, offset_finding(each.bag, each.time_offset)), each.sentence)))
 
     def _findings(self) -> Iterator[Finding]:
-        """Yield findings on worlds, clocks, estimates and standstills."""
-        for number, part in enumerate(self.parts):
-            yield from world_finding(part.name, self._final_world(number))
+        """Yield findings on clocks, estimates and standstills."""
         yield from self._clocks()
-        yield from self._freed_values()
-        static = self.static
-        if static and static.length:
+        asked = {'recording.package_world', 'measured.scale', *(
+            FREE_PARAMETERS[name][0] for name in {*self.fit.named} & FREE_PARAMETERS.keys())}
+        found = [each for each in self.found.items() if each[0] in asked]
+        if self.static and (length := self.static.length):
+            found.append(('cup.length', (length.length, length.total_std, 'm by loads alone')))
+        for name, (value, std, unit) in found:
+            numbers = value.split() if isinstance(value, str) else np.ravel(value)
             yield Finding('estimated', Level.OK, {
-                'bag': 'By the loads alone, ', 'values': length_sentence(static.length)},
-                'cup.length')
-
-    def _freed_values(self) -> Iterator[Finding]:
-        """Yield findings on the parameters estimated by fit.free, lengths in mm."""
-        for freed in FREE_PARAMETERS.keys() & {*self.fit.named} if self.found else ():
-            name = FREE_PARAMETERS[freed][0]
-            value, std, unit = self.found[name]
-            factor = 1e3 if unit == 'm' else 1.0
-            numbers = ', '.join(
-                f'{factor * x:z.{max(1 - math.floor(math.log10(factor * s)), 0)}f} ± '
-                f'{factor * s:.2g}' for x, s in zip(
-                    np.atleast_1d(value), np.atleast_1d(std), strict=True) if s)
-            yield Finding('estimated', Level.OK, {
-                'bag': '', 'values': f'{numbers} {"mm" if unit == "m" else unit}'}, name)
+                'values': ', '.join(f'{float(x):.5g}' for x in numbers),
+                'errors': ', '.join(f'{x:.2g}' for x in np.ravel(std)), 'unit': unit}, name)
 
     @cached_property
     def delays(self) -> tuple[TimeOffset, ...]:

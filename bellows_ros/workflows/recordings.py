@@ -159,9 +159,7 @@ def within_interval(streams: Mapping[str, Any], values: Mapping[str, Any]) -> di
 def _selected(streams: Mapping[str, Any], masks: Sequence[Mask]) -> dict[str, Any]:
     """Return streams by role with the selected messages, and the steps of clocks among them."""
     return {role: replace(stream, **{
-        name: getattr(stream, name)[mask]
-        for name in ('stamps_ns', 'position', 'rotation', 'corners', 'linear', 'angular')
-        if getattr(stream, name, None) is not None
+        name: each[mask] for name, each in vars(stream).items() if isinstance(each, np.ndarray)
     }, **_steps_within(stream, mask)) for (role, stream), mask in zip(
         streams.items(), masks, strict=True)}
 
@@ -338,19 +336,6 @@ def offset_finding(bag: object, offset: TimeOffset | None) -> list[Finding]:
     return [Finding('offset', Level.OK, {
         'bag': str(bag), 'later': later, 'other': other, 'offset': abs(offset.value),
         'std': offset.std})]
-
-
-def world_finding(bag: object, estimated: prepared.PackageWorld | None) -> list[Finding]:
-    """Return the finding on the estimated transform between the worlds, if any."""
-    if estimated is None:
-        return []
-    errors = [f'{x:.2g}' for x in DISPLAY_FACTORS * estimated.std]
-    position, quaternion = (', '.join(f'{factor * x:.{decimals}f}' for x in part) for (
-        part, factor, decimals) in ((estimated.pose[:3], 1e3, 3), (estimated.pose[3:], 1.0, 6)))
-    return [Finding('estimated', Level.OK, {
-        'bag': f'{bag}: ', 'values': f'position {position} mm, quaternion (x y z w) {quaternion}',
-        'errors': f"; standard errors {', '.join(errors[:3])} mm at the middle of the package's "
-        f'path, {", ".join(errors[3:])} degrees'}, 'recording.package_world')]
 
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

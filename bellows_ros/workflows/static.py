@@ -1,7 +1,6 @@
 """Recordings of standstills: the cup's length."""
 
 from collections.abc import Iterator
-import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -72,8 +71,7 @@ class StaticResult(NamedTuple):
         """Return the content of a JSON file, in SI units."""
         return results.with_units({
             'estimated_length': self.length and {
-                **self.length._asdict(), 'warnings': length_warnings(self.length),
-                'text': length_sentence(self.length),
+                **self.length._asdict(),
                 'units': {
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
@@ -87,18 +85,6 @@ class StaticResult(NamedTuple):
                 for recording in self.recordings
                 for settled, failed in [standstills_in(recording)]],
             'warnings': self.warnings})
-
-
-def length_sentence(length: statics.CupLength) -> str:
-    """Return a length with its standard error, or a statement that there is no error."""
-    error = f'± {1e3 * length.total_std:.3f} mm' if math.isfinite(length.length_std) else (
-        'without a standard error')
-    return f'{1e3 * length.length:.3f} mm {error}'
-
-
-def length_warnings(length: statics.CupLength) -> tuple[str, ...]:
-    """Return sentences on doubts about a length."""
-    return tuple(map(text, length.remarks))
 
 
 def standstills_in(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
@@ -134,7 +120,7 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
     if result.length is None:
         raise BellowsError(f'static.length is set, but: {result.no_length}')
     if not np.isfinite(result.length.length_std):
-        raise BellowsError(f'static.length is set, but: {length_warnings(result.length)[0]}')
+        raise BellowsError(f'static.length is set, but: {text(result.length.remarks[0])}')
     return result._replace(cup_length=result.length.length)
 
 
