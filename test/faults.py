@@ -23,7 +23,7 @@ def outcome(laboratory, cause):
         recordings = laboratory.recordings()
         values = parameters(laboratory)
         length = values['cup.length']
-        if wrong := [code for one in recordings for code in before_a_fit(one, length)]:
+        if wrong := [code for one in recordings for code in before_a_fit(one)]:
             named = ' '.join(wrong)
             return 'right' if cause in named else 'wrong and certain', named
         found = fit(recordings, values)
@@ -45,14 +45,14 @@ def outcome(laboratory, cause):
     return word, f'{first} {off}'
 
 
-def before_a_fit(recording, length):
+def before_a_fit(recording):
     """Return the codes of the faults that prevent a fit."""
     poses = RecordedPoses(
         recording.tool_pose, recording.package_pose, recording.settings.R_world_recorded,
         recording.payload, twist=recording.tool_twist)
     found = *recording.report.remarks, *pose_remarks(poses)
     wrong = [own.code for own in found if own.level == Level.ERROR]
-    return wrong or [own.code for own in recording_remarks(recording, length)
+    return wrong or [own.code for own in recording_remarks(recording)
                      if own.level == Level.ERROR]
 
 

@@ -219,7 +219,7 @@ def read_part(
             reading.prepare_streams(poses[bag], settings, values), name=bag, digest=bag)
     else:
         recording = reading.load(path, values, name=bag, held=True)
-    recording = reading.checked(recording, values.cup.length)
+    recording = reading.checked(recording)
     part, pair = reduced(recording, values.cup.length), fitting.pair_of(recording, values, number)
     return pair, recording if bag in keep else part
 

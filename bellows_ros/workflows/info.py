@@ -357,8 +357,7 @@ def _both_bodies(
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
             'recording.package_frame': 'com'}
-        is_tag = package.corners is not None
-        found += (of_tag := sensor_findings(package, is_tag, is_tag))
+        found += (of_tag := sensor_findings(package, package.corners is not None))
         settings['fit.free'] = ('time_offset', 'package_marker', *['scale'] * bool(of_tag))
         more.append(Finding('freed', Level.OK, {'names': settings['fit.free']}))
     elif pair:

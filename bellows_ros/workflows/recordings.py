@@ -18,16 +18,13 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
-from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
 from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
-from bellows_ros.core.recording.prepared_faults import sensor_remarks
+from bellows_ros.core.recording.prepared_faults import detected_tags
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.resampling import timing
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
-from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import detections, File, parameter_files, results
@@ -186,9 +183,9 @@ def prepare_streams(
         or values.fit.method == 'least_squares'))
 
 
-def checked(recording: Recording, length: float) -> Recording:
+def checked(recording: Recording) -> Recording:
     """
-    Return a recording with the remarks of all checks before a fit of a cup with a length (m).
+    Return a recording with the remarks of all checks before a fit.
 
     Raises
     ------
@@ -196,7 +193,7 @@ def checked(recording: Recording, length: float) -> Recording:
         If a fault prevents a replay and any fit.
 
     """
-    found = recording_remarks(recording, length)
+    found = recording_remarks(recording)
     require_none(found, 'replay')
     return _with_sentences(replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found))), found)
@@ -317,15 +314,10 @@ def marker_alignment(values: Values) -> frames.Alignment | None:
     return frames.Alignment(np.eye(3), T[:3, :3], T[:3, :3].T @ T[:3, 3], np.zeros(3))
 
 
-def sensor_findings(
-    stream: PoseStream, is_tag: bool, has_corners: bool
-) -> tuple[Finding, ...]:
-    """Return the finding on poses that are stated as of a tag, or not as of one, if wrong."""
-    body, time = stream.trajectory(), timing(stream.stamps_ns)
-    outliers = find_outliers(body, LONGEST_GAP_NS)
-    return tuple(remark._replace(topic=stream.name) for remark in sensor_remarks(
-        body.select(outliers.good), time.rate_hz, outliers.excursions / len(stream), is_tag,
-        has_corners))
+def sensor_findings(stream: PoseStream, is_tag: bool) -> tuple[Finding, ...]:
+    """Return the finding on poses that seem to be of a tag, and are not stated as of one."""
+    return () if is_tag else tuple(
+        remark._replace(topic=stream.name) for remark in detected_tags(stream))
 
 
 def offset_finding(bag: object, offset: TimeOffset | None) -> list[Finding]:

@@ -297,7 +297,7 @@ def replay(
     if is_other:
         recording, rated = (replace(each, settings=replace(each.settings, tag=None))
                             for each in (recording, rated))
-    rated = checked(rated, values.cup.length)
+    rated = checked(rated)
     progress('simulating', 0.3)
     free = validated(values, rated)
     sent = _tool_messages(recording, values)
@@ -474,7 +474,7 @@ def _observed(
         observer.payload,
         {'prediction alone': uncorrected.corners,
          'both': corner_scores(recording, corrected)} if recording.views else {},
-    ), sensor_findings(stream, values.measured.tag_size > 0.0, stream.corners is not None)
+    ), sensor_findings(stream, values.measured.tag_size > 0.0)
 
 
 def _held_part(

@@ -142,13 +142,12 @@ def test_an_estimate_beyond_three_deviations_is_a_finding_of_its_own():
 
 
 @pytest.mark.parametrize(('size', 'noise', 'camera_hz', 'named'), [
-    (0.0, 6e-3, 30.0, ['sensor']), (0.0, 5e-4, 240.0, []), (0.05, 6e-3, 30.0, []),
-    (0.05, 5e-4, 240.0, ['sensor'])])
+    (0.0, 6e-3, 30.0, ['sensor']), (0.0, 5e-4, 240.0, []), (0.05, 6e-3, 30.0, [])])
 def test_poses_of_another_kind_of_sensor_are_named(size, noise, camera_hz, named):
     laboratory = Laboratory(4, seconds=6.0, rate_hz=240.0)
     laboratory.noise, laboratory.camera_hz = ((3e-4, noise), laboratory.noise[1]), camera_hz
     recording = laboratory.recording()
     recording = replace(recording, settings=replace(recording.settings, tag=tag_of(
         parameters(laboratory).replaced({'measured.tag_size': size}))))
-    found = recording_remarks(recording, laboratory.length)
+    found = recording_remarks(recording)
     assert [remark.code for remark in found if remark.level < Level.ERROR] == named

@@ -451,12 +451,6 @@ def shifted_pose(pose: Array, R_world_recorded: Array, middle: Array, theta: Arr
     return np.concatenate([T[:3, 3], lie.rotation_to_quaternion(T[:3, :3])])
 
 
-def motion_of(pose: Array, middle: Array) -> Array:
-    """Return the motion (6,) about a point (3,) that moves a world to its pose (7,), m and rad."""
-    R = lie.quaternion_to_rotation(pose[3:])
-    return np.concatenate([pose[:3] + R @ middle - middle, lie.log_so3(R)])
-
-
 def motion_words(theta: Array, std: Array | None = None) -> str:
     """Return words for the difference of the worlds (6,), m and rad, with its errors (6,)."""
     sizes = []

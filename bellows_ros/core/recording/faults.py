@@ -6,7 +6,6 @@ that those of earlier rows found no error; errors prevent a fit, and some a repl
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
 from typing import Any
 
 from bellows_ros.core.findings import Finding, Level
@@ -28,10 +27,10 @@ OF_POSES: tuple[Row, ...] = (
 """Checks of `RecordedPoses`."""
 
 OF_RECORDING: tuple[Row, ...] = (
+    (prepared_faults.clocks_apart,),
     (prepared_faults.misplaced,),
     (prepared_faults.turned_frames,),
-    (prepared_faults.clocks_apart, prepared_faults.low_pass, prepared_faults.jumps,
-     prepared_faults.wrong_sensors))
+    (prepared_faults.low_pass, prepared_faults.wrong_sensors))
 """Checks of a prepared recording, in one world and on one clock."""
 
 
@@ -40,14 +39,9 @@ def pose_remarks(poses: RecordedPoses) -> tuple[Finding, ...]:
     return tuple(_remarks(OF_POSES, (poses.tool, poses.package), poses))
 
 
-def recording_remarks(
-    recording: Recording, length: float | None = None
-) -> tuple[Finding, ...]:
-    """Return the findings of the checks on a prepared recording of a cup with a length (m)."""
-    rows = OF_RECORDING
-    if length is not None:
-        rows += (partial(prepared_faults.wrong_length, length=length),),
-    return tuple(_remarks(rows, (recording.tool_pose, recording.package_pose), recording))
+def recording_remarks(recording: Recording) -> tuple[Finding, ...]:
+    """Return the findings of the checks on a prepared recording."""
+    return tuple(_remarks(OF_RECORDING, (recording.tool_pose, recording.package_pose), recording))
 
 
 def _remarks(

@@ -76,14 +76,11 @@ class Outliers:
         step, and isolated samples between marked or missing ones.
     steps : tuple of LastingStep
         Jumps without a return.
-    excursions : int
-        Number of excursions.
 
     """
 
     good: Mask
     steps: tuple[LastingStep, ...]
-    excursions: int
 
 
 class _Jumps(NamedTuple):
@@ -122,7 +119,7 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _exclude(usable, _frozen(poses))
     moving = np.flatnonzero(usable)
     if len(moving) < 2 * MIN_RUN:
-        return Outliers(usable, (), 0)
+        return Outliers(usable, ())
     poses = poses.select(moving)
     jumps = _jumps(poses)
     excursions, steps = _paired(poses, jumps)
@@ -131,15 +128,14 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
     _exclude(good, _isolated(good, np.diff(poses.stamps_ns) > longest_step_ns))
     usable[moving] = good
     return Outliers(
-        usable, tuple(step._replace(before=int(moving[step.before])) for step in steps),
-        len(excursions))
+        usable, tuple(step._replace(before=int(moving[step.before])) for step in steps))
 
 
 def find_repeats(poses: Trajectory) -> Outliers:
     """Find the frozen poses of a tag; its other errors are weighted in the fit."""
     good = np.full(len(poses), True)
     _exclude(good, _frozen(poses))
-    return Outliers(good, (), 0)
+    return Outliers(good, ())
 
 
 def _jumps(poses: Trajectory) -> _Jumps:

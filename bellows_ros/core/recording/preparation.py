@@ -46,10 +46,6 @@ MAX_LATERAL_COM = 1e-6
 MAX_TRAVEL = 20.0
 """Largest travel of a body in metres, m: a larger one is in millimetres."""
 
-MAX_POSE_STEPS = 6
-"""Largest number of lasting steps of a slipping package; more are noise with outliers and
-memory."""
-
 
 def prepare(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings,
