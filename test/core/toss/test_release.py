@@ -116,7 +116,7 @@ def test_in_a_tilted_world_the_same_package_lands_on_the_same_floor(held):
     plan = tosses.plan()
     tilted = Trajectory(
         plan.stamps_ns, plan.position @ Q.T, Q @ plan.rotation, plan.twist)
-    model = model_tuple(tosses.CUP, tosses.PACKAGE, Q @ tosses.GRAVITY)
+    model = model_tuple(tosses.CUP, tosses.PACKAGE, Q @ tosses.GRAVITY_VECTOR)
     expected = toss(held, RELEASE, 0.5)
     found = toss(HeldMotion(model, tosses.GRIP, tilted), RELEASE, 0.5)
     assert found.landing_time == pytest.approx(expected.landing_time, abs=1e-8)
