@@ -39,31 +39,6 @@ def test_importing_it_loads_no_numbers(user_environment):
     assert done.stdout == 'False True\nTrue\n', done.stderr
 
 
-def test_cup_and_package_come_back(tmp_path):
-    """Write and read every number of both."""
-    cup = bellows_ros.Cup.thesis()
-    inertia = np.diag([0.02, 0.03, 0.04]) + 0.001 * (np.ones((3, 3)) - np.eye(3))
-    package = bellows_ros.Package(1.2, inertia, (0.01, 0.0, -0.05))
-    bellows_ros.write_cup(tmp_path / 'both.yaml', cup, package)
-    again = bellows_ros.read_cup(tmp_path / 'both.yaml')
-    held = bellows_ros.read_package(tmp_path / 'both.yaml')
-    assert np.array_equal(again.stiffness, cup.stiffness) and again.length == cup.length
-    assert np.array_equal(again.damping, cup.damping)
-    assert held.mass == 1.2 and np.array_equal(held.inertia, inertia)
-    assert np.array_equal(held.com, package.com)
-
-
-def test_equilibrium_moves_with_the_tool():
-    """Hang the package from a tool elsewhere, turned about the vertical: the same, moved."""
-    cup = bellows_ros.Cup.thesis()
-    package = bellows_ros.Package(1.2, np.diag([0.01, 0.02, 0.02]), (0.01, 0.0, -0.05))
-    T = np.eye(4)
-    T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    T[:3, 3] = 0.3, -0.2, 0.9
-    expected = T @ bellows_ros.static_equilibrium(cup, package)
-    assert_allclose(bellows_ros.static_equilibrium(cup, package, T), expected, atol=1e-12)
-
-
 def test_a_cup_is_identified_from_arrays():
     """Find the cup that a simulated motion was made with, from its poses alone."""
     rng = np.random.default_rng(3)

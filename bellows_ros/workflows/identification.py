@@ -291,7 +291,8 @@ class Identification(CommandResult):
         """Sentences on the cup in addition to K and P."""
         return (
             *map(text_of, self._findings()), *(text for each in self.validations for text in (
-                *map(text_of, offset_finding(each.bag, each.time_offset)), each.sentence)))
+                *map(text_of, offset_finding(each.bag, each.time_offset)),
+                f'{each.bag}: {text_of(each.validation.verdict())}')))
 
     def _findings(self) -> Iterator[Finding]:
         """Yield findings on clocks, estimates and standstills."""

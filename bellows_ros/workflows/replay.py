@@ -223,17 +223,6 @@ class Replay(CommandResult):
         return smallest_margin(self.values, free.model, free.tool, free.package,
                                self.recording.since_start(free.tool.stamps_ns))
 
-    @property
-    def sentence(self) -> str:
-        """Verdict on the cup by a recording outside of the fit."""
-        validation = self.validation
-        errors = [f'{name} {100.0 * ratio:.2f} %' for name, moves, ratio in zip(
-            residuals.AXES, validation.moves, validation.scores.nrmse, strict=True) if moves]
-        if validation.corners:
-            errors = [f'corners {100.0 * validation.corners.nrmse:.2f} %']
-        return (f'Validated on {self.bag}, error over motion: {", ".join(errors) or "unknown"}. '
-                f'{text(validation.verdict())}')
-
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         validation = self.validation

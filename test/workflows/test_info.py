@@ -61,14 +61,6 @@ def test_poses_determine_roles_if_names_do_not(m, tmp_path):
     assert found.rest_s == pytest.approx(REST, abs=0.2)
 
 
-def test_positions_in_two_frames_do_not_determine_roles(m, tmp_path):
-    """Although the robot's poses happen to lie straight below those of the camera."""
-    found = described(
-        tmp_path, poses('/ur/pose', m['t'], m['o'], m['R'], 'base'),
-        poses('/camera/marker', m['t'][::6], m['o_p'][::6] + [0, 0, 0.5], m['R_p'][::6], 'camera'))
-    assert (found.tool.topic, found.package.topic) == ('/ur/pose', '/camera/marker')
-
-
 @pytest.mark.parametrize('jump', [0.0, 1.0])
 @pytest.mark.parametrize('frame', ['world', 'tool'])
 def test_axes_of_the_twist_are_found(m, frame, jump, tmp_path):

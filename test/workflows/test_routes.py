@@ -12,7 +12,6 @@ from bellows_ros.files.results import format_json
 from bellows_ros.workflows import identify as routes
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.simulate import simulate_recording
-from numpy.testing import assert_allclose
 import pytest
 from ruamel.yaml import YAML
 
@@ -26,12 +25,6 @@ def settings(root, known, true_cup, tmp_path_factory):
     for seed, bag in enumerate(bags, 1):
         simulate_recording(true_cup, {**motion, 'seed': seed, 'duration': 8.0}, bag)
     return {**known, 'fit.method': 'least_squares', 'bags': bags}
-
-
-@pytest.fixture(scope='module')
-def one_result(settings):
-    """Return the result of both recordings at once."""
-    return identify(settings)
 
 
 def content_of(result):
@@ -86,16 +79,6 @@ def cluster(tmp_path_factory):
         yield started
 
 
-def test_dask_cluster_gives_the_same(settings, one_result, cluster):
-    assert cluster.scheduler_address.startswith('tcp://127.0.0.1')
-    bags = [*settings['bags'], 'nowhere']
-    result = identify({**settings, 'bags': bags}, dask=cluster.scheduler_address)
-    for name in ('stiffness', 'covariance', 'samples_used'):
-        assert_allclose(getattr(result.fit, name), getattr(one_result.fit, name), rtol=1e-9)
-    assert [failed.bag for failed in result.failed] == ['nowhere']
-    assert len(result.verdict.simulated) == len(settings['bags'])  # read where the workers are
-
-
 @pytest.fixture(scope='module')
 def simulated(settings):
     """Return the settings of a fit by simulation, and its result in this process."""
@@ -103,32 +86,28 @@ def simulated(settings):
     return asked, content_of(identify(asked))
 
 
-def require_the_same(asked, expected, **route):
-    """Check that a fit by simulation elsewhere gives the same to the last digit."""
-    assert content_of(identify(asked, **route)) == expected
-
-
 @pytest.mark.parametrize('jobs', [2, pytest.param(1, marks=pytest.mark.stress)])
 def test_processes_give_the_same_cup_to_the_last_digit(simulated, jobs):
-    require_the_same(*simulated, jobs=jobs)
+    asked, expected = simulated
+    assert content_of(identify(asked, jobs=jobs)) == expected
 
 
 def test_a_cluster_gives_the_same_cup_although_a_worker_is_lost(simulated, cluster):
+    """Kill it in the third step of the search; a recording that is nowhere is left out."""
+    asked, expected = simulated
     cluster.scheduler.allowed_failures = 3
-    progress = killer(lambda: next(iter(cluster.workers.values())).pid)
-    require_the_same(*simulated, dask=cluster.scheduler_address, progress=progress)
-    assert progress.killed
+    killed = []
 
-
-def killer(process):
-    """Return a progress that kills a process in the third step of a search."""
     def progress(what, part=0.0):
-        if 'step 3' in what and not progress.killed:
-            progress.killed.append(process())
-            os.kill(progress.killed[0], signal.SIGKILL)
+        if 'step 3' in what and not killed:
+            killed.append(next(iter(cluster.workers.values())).pid)
+            os.kill(killed[0], signal.SIGKILL)
 
-    progress.killed = []
-    return progress
+    found = content_of(identify({**asked, 'bags': [*asked['bags'], 'nowhere']},
+                                dask=cluster.scheduler_address, progress=progress))
+    assert killed and found['failed'][0]['bag'] == 'nowhere'
+    for name in ('stiffness', 'parameters', 'samples_used', 'recordings', 'verdict'):
+        assert found[name] == expected[name]
 
 
 @pytest.mark.parametrize('address', [
