@@ -197,10 +197,12 @@ def plan_figure(report: Any) -> Any:
     (t, tool, values, std), least = report.curves, report.least
     seen = values[:, :3] - tool
     unknown = ': set cup.lip_radius, vacuum.holding' * (report.prediction.grip is None)
-    note = f'{report.source.path}; dotted: end of the plan; bands: two standard deviations'
+    note = f'{report.source.path}; dashed: safety.least; red area: the cup lets go'
     begin, end = report.drawn
     if end < report.source.duration:
         note = f'{note}; the worst {end - begin:.0f} of {report.source.duration:.0f} s'
+    note += '; dotted: end of the plan' * (end > report.source.duration)
+    note += '; bands: two standard deviations' * bool(std.any())
     t, values, std, seen, tool = (rows[(t >= begin) & (t <= end)] for rows in (
         t, values, std, seen, tool))
     with picture('Package and grip along the plan', note) as figure:
@@ -260,16 +262,19 @@ def toss_figure(result: Any) -> Any:
     note = (f'{result.source.path}: valve {case.switched:.3f} s, lets go {toss.release_time:.3f} '
             f's, lands {toss.landing_time:.3f} s')
     with picture('Toss', note, (11.0, 7.2)) as figure:
-        side, above, close = figure.subplot_mosaic(
-            [['side', 'side'], ['above', 'close']], width_ratios=(2.0, 1.0)).values()
+        side, close, above = figure.subplot_mosaic(
+            [['side', 'close'], ['above', 'close']], width_ratios=(2.0, 1.0),
+            height_ratios=(3.0, 1.0)).values()
         for panel, rows in ((side, [0, 2]), (above, [0, 1])):
             for points, mark, colour, name in (
                     (tool.position, '-', MEASURED, 'tool'),
-                    (held, '--', PREDICTED, 'package, held'),
+                    (
+                        package.position[:len(held) + 1], '--', PREDICTED, 'package, held'),
                     (path, '-', PREDICTED, 'package, flying'),
                     (switched[None], 'v', TEXT, 'valve'), (path[:1], 'o', TEXT, 'lets go')):
                 panel.plot(*points[:, rows].T, mark, color=colour, linewidth=1.2, label=name)
-            panel.set_aspect('equal', anchor='W')
+            panel.margins(0.05)
+            panel.set_aspect('equal', adjustable='datalim')
         side.axhline(case.release.height, color=TEXT, linewidth=1.0)
         side.set_ylabel('z (m), from the side')
         above.set(xlabel='x (m)', ylabel='y (m), from above')
@@ -285,7 +290,7 @@ def toss_figure(result: Any) -> Any:
                   ylabel='y from the prediction')
         close.margins(0.1)
         close.set_aspect('equal', adjustable='datalim')
-        figure.legend(handles=above.get_legend_handles_labels()[0], ncols=3, loc='upper right')
+        figure.legend(handles=above.get_legend_handles_labels()[0], ncols=3, loc='outside upper right')
     return figure
 
 
