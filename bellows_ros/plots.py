@@ -268,8 +268,7 @@ def toss_figure(result: Any) -> Any:
         for panel, rows in ((side, [0, 2]), (above, [0, 1])):
             for points, mark, colour, name in (
                     (tool.position, '-', MEASURED, 'tool'),
-                    (
-                        package.position[:len(held) + 1], '--', PREDICTED, 'package, held'),
+                    (held, '--', PREDICTED, 'package, held'),
                     (path, '-', PREDICTED, 'package, flying'),
                     (switched[None], 'v', TEXT, 'valve'), (path[:1], 'o', TEXT, 'lets go')):
                 panel.plot(*points[:, rows].T, mark, color=colour, linewidth=1.2, label=name)
@@ -290,7 +289,8 @@ def toss_figure(result: Any) -> Any:
                   ylabel='y from the prediction')
         close.margins(0.1)
         close.set_aspect('equal', adjustable='datalim')
-        figure.legend(handles=above.get_legend_handles_labels()[0], ncols=3, loc='outside upper right')
+        figure.legend(handles=above.get_legend_handles_labels()[0], ncols=3,
+                      loc='outside upper right')
     return figure
 
 

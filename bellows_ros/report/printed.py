@@ -41,7 +41,8 @@ FIGURES = {
     'peak_bending': ('largest bending', 'deg'), 'peak_deflection': ('largest deflection', 'mm'),
     'peak_force': ('largest force', 'N'), 'peak_moment': ('largest moment', 'N m'),
     'swing_left': ('residual swing', 'deg'),
-    'expected_swing': ('expected swing', 'deg'), 'settled_after': ('settled after', 's'),
+    'expected_swing': ('with the errors of the cup', 'deg'),
+    'settled_after': ('settled after the stop', 's'),
     'speed': ('speed', 'm/s'), 'acceleration': ('acceleration', 'm/s^2'),
     'angular_speed': ('angular speed', 'deg/s')}
 """Printed names and units of the numbers of a plan."""
