@@ -192,14 +192,6 @@ def test_a_bad_plan_is_rejected_and_the_next_is_answered(planner, bad, named):
     planner.wait(lambda: planner.steered and planner.status().level == 0)
 
 
-def test_bytes_that_are_no_plan_leave_the_node_alive(planner):
-    """As rclpy drops them, answer the next plan."""
-    planner.plan_out.publish(b'\0\1\0\0' + bytes(range(60)))
-    planner.send(message())
-    planner.wait(lambda: planner.steered and planner.status().level == 0)
-    assert not planner.partner.predictor.failures
-
-
 def test_a_newer_plan_replaces_one_that_takes_long(planner):
     """Stop what is not wanted any more: for a newer plan, for the end of the active state."""
     predictor = planner.partner.predictor

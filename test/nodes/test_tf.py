@@ -1,13 +1,9 @@
-"""Tags and frames on tf, and detected corners, with real messages if they can be built."""
+"""Tags and frames on tf, and detected corners, where their messages are installed."""
 
-from contextlib import contextmanager
-from functools import cache
 import importlib.util
-import sys
 
 from bellows_ros.core.model.structure import THESIS_LENGTH
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.messages import TAG_TYPES
 from bellows_ros.nodes.conversions import vector
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from numpy.testing import assert_allclose
@@ -15,49 +11,19 @@ import pytest
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo
 
-from . import tf2_interface
 from .conftest import ERROR, LATCHED, MS, PACKAGE, stamped, START
 
-pytestmark = pytest.mark.timeout(600)  # tf2_msgs may have to be built
 
-
-@pytest.fixture(scope='module')
-def build(tmp_path_factory):
-    """Build a package of messages once."""
-    @cache
-    def built(package):
-        if missing := tf2_interface.missing():
-            pytest.skip(f'{package} is not here and cannot be built: {missing}')
-        types = {'apriltag_msgs': {f'{name}.msg': text for name, text in TAG_TYPES.items()},
-                 'tf2_msgs': tf2_interface.TF}[package]
-        return tf2_interface.build(tmp_path_factory.mktemp(package), types)
-
-    return built
-
-
-@contextmanager
-def messages(package, build, monkeypatch):
-    """Give the messages of a package: installed ones, or those that are built."""
-    if importlib.util.find_spec(package) is None:
-        monkeypatch.syspath_prepend(str(build(package)))
-    yield importlib.import_module(f'{package}.msg')
-    monkeypatch.undo()
-    for name in [name for name in sys.modules if name.partition('.')[0] == package]:
-        del sys.modules[name]
+@pytest.fixture
+def tf2_msgs():
+    """Give the messages of tf."""
+    return pytest.importorskip('tf2_msgs.msg', reason='no tf2_msgs here')
 
 
 @pytest.fixture
-def tf2_msgs(build, monkeypatch):
-    """Give the messages of tf for one test."""
-    with messages('tf2_msgs', build, monkeypatch) as found:
-        yield found
-
-
-@pytest.fixture
-def apriltag_msgs(build, monkeypatch):
-    """Give the messages of apriltag_ros for one test."""
-    with messages('apriltag_msgs', build, monkeypatch) as found:
-        yield found
+def apriltag_msgs():
+    """Give the messages of apriltag_ros."""
+    return pytest.importorskip('apriltag_msgs.msg', reason='no apriltag_msgs here')
 
 
 def test_tf_shows_the_package_where_the_pose_has_it(make_partner, tf2_msgs):
