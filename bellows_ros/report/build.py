@@ -1,6 +1,7 @@
 """Pages of an identification and of a replay: the text of the terminal, pictures, provenance."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from html import escape
 import io
 from typing import Any
@@ -28,11 +29,6 @@ WIDTH = 110
 """Width of the text, characters: two columns of digits fit beside their names."""
 
 
-def page(title: str, parts: Iterable[str]) -> str:
-    """Return a page of parts in HTML, which loads nothing."""
-    return PAGE.format(title=escape(shown(title)), parts='\n'.join(parts))
-
-
 def printed(show: Callable[[Writer], None]) -> str:
     """Return printed text as HTML."""
     console = Console(record=True, file=io.StringIO(), width=WIDTH)
@@ -40,39 +36,30 @@ def printed(show: Callable[[Writer], None]) -> str:
     return console.export_html(inline_styles=True, code_format='<pre>{code}</pre>')
 
 
-def identification_page(result: Identification, parameter_files: Sequence[File] = ()) -> str:
-    """Return the page of a fit, with free simulations of its recordings."""
+def page_of(result: Identification | Replay, parameter_files: Sequence[File] = ()) -> str:
+    """Return the page of a result, with pictures of free simulations, which loads nothing."""
+    parts, with_text, title = list[str](), [result], 'Replay of {}'
     origin = {**result.as_json()['provenance'], 'parameter_files': results.listed(parameter_files)}
-    origin['recordings'] += results.provenance([v.bag for v in result.validations])['recordings']
-    validations = (part for each in result.validations for part in _replay_parts(each))
-    pictures = (_picture(each) for each in result.replays() if each not in result.validations)
-    return page(f'Cup identified from {", ".join(result.bags)}', [
-        printed(lambda out: print_identification(result, out)), *validations, *pictures,
-        _origin(origin, result.values)])
-
-
-def replay_page(result: Replay, parameter_files: Sequence[File] = ()) -> str:
-    """Return the page of a replay."""
-    return page(f'Replay of {result.bag}', [*_replay_parts(result), _origin(
-        results.provenance([result.bag], parameter_files), result.values)])
+    replays: Iterable[Any] = [result]
+    if isinstance(result, Identification):
+        parts.append(printed(partial(print_identification, result)))
+        title, replays, with_text = (
+            'Cup identified from {}', result.replays(), [*result.validations])
+        origin['recordings'] += results.listed([each.bag for each in result.validations])
+    for each in replays:
+        if each in with_text:
+            parts.append(printed(partial(print_replay, each)))
+        parts.append(plots.svg_of(plots.figure_of(each)))
+    names = result.bags if isinstance(result, Identification) else [result.bag]
+    return PAGE.format(title=escape(shown(title.format(', '.join(names)))), parts='\n'.join(
+        [*parts, _origin(origin, result.values)]))
 
 
 def write_page(
     result: Identification | Replay, path: File, parameter_files: Sequence[File] = ()
 ) -> None:
     """Write the page of a result; raise BellowsError if the file cannot be written."""
-    atomic.write_text(path, replay_page(result, parameter_files) if isinstance(
-        result, Replay) else identification_page(result, parameter_files))
-
-
-def _replay_parts(result: Replay) -> tuple[str, str]:
-    """Return text and picture of a freely simulated recording."""
-    return printed(lambda out: print_replay(result, out)), _picture(result)
-
-
-def _picture(result: Replay) -> str:
-    """Return the picture of a freely simulated recording."""
-    return plots.svg_of(plots.figure_of(result))
+    atomic.write_text(path, page_of(result, parameter_files))
 
 
 def _origin(provenance: Mapping[str, Any], values: Mapping[str, Any]) -> str:

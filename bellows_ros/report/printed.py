@@ -62,9 +62,6 @@ def print_info(result: Info, out: Any, file: str = '') -> None:
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
         name = f'probably {guess.topic}' if guess else 'not found'
         out.paragraph(f'{role.capitalize():8} {name}{why}.')
-    if result.valve:
-        out.paragraph(
-            f'Valve    probably {result.valve}: the only std_msgs/Bool (topics.valve).')
     found = {name: list(value) if isinstance(value, tuple) else value
              for name, value in result.settings.items() if name != 'bags'}
     settled, open_ones = ([each for each in result.findings if found.keys().isdisjoint(

@@ -35,7 +35,7 @@ from bellows_ros.core.signals.trajectory import (
     TwistStream,
 )
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import bags, File, messages, results
+from bellows_ros.files import bags, File, results
 from bellows_ros.files.bags import accepted_types, Contents, TopicCount, topics
 from bellows_ros.files.detections import read_contents
 from bellows_ros.files.messages import DETECTIONS
@@ -206,13 +206,6 @@ class Info(NamedTuple):
     findings: tuple[Finding, ...]
 
     @property
-    def valve(self) -> str:
-        """The only possible topic of the valve; otherwise ''."""
-        able = [topic.name for topic in self.topics if topic.type_name == messages.BOOL
-                and not is_named(topic.name, SIGNALS['bool'][1])]
-        return able[0] if len(able) == 1 else ''
-
-    @property
     def is_tag(self) -> bool:
         """Whether the package's poses seem to be of a detected tag."""
         return any(finding.code == 'sensor' and finding.numbers['kind'] == 'detected tag'
@@ -226,7 +219,7 @@ class Info(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         return results.with_units({
-            **self._asdict(), 'valve': self.valve, 'findings': self.notes,
+            **self._asdict(), 'findings': self.notes,
             'topics': [{**topic._asdict(), 'remarks': [*map(text, topic.remarks)]}
                        for topic in self.topics]})
 

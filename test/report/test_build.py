@@ -6,7 +6,7 @@ import re
 
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import digests
-from bellows_ros.report.build import identification_page
+from bellows_ros.report.build import page_of
 from bellows_ros.report.text import print_identification, Writer
 from bellows_ros.workflows.identify import identify
 import pytest
@@ -31,7 +31,7 @@ def words(text):
 
 def test_the_page_loads_nothing_and_has_what_the_command_prints(result, root):
     """Hold each line, and the digests of recordings and parameter files; the same bytes again."""
-    html = identification_page(result, [root / 'bags/package.yaml'])
+    html = page_of(result, [root / 'bags/package.yaml'])
     text = io.StringIO()
     print_identification(result, Writer(Console(file=text, width=110)))
     assert words(text.getvalue()) in words(html) and 'stiffness K' in html
@@ -39,9 +39,9 @@ def test_the_page_loads_nothing_and_has_what_the_command_prints(result, root):
         assert all(file['sha256'] in html for file in digests(root / path))
     assert html.count('<svg ') == 1 and html.rstrip().endswith('</html>')
     assert not re.search(r'<(script|link|img|iframe|object)|@import|url\((?!#)', html)
-    assert identification_page(result, [root / 'bags/package.yaml']) == html
+    assert page_of(result, [root / 'bags/package.yaml']) == html
 
 
 def test_a_cup_that_cannot_be_simulated_still_has_its_page(result):
     soft = dataclasses.replace(result.fit, parameters=result.fit.parameters * 5e-3)
-    assert '<svg ' not in identification_page(dataclasses.replace(result, fit=soft))
+    assert '<svg ' not in page_of(dataclasses.replace(result, fit=soft))

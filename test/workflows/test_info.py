@@ -167,11 +167,10 @@ def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside
 @pytest.mark.parametrize(('signal', 'topic', 'kind'), [
     ('bool', '/cell/vacuum/held', BOOL),
     ('pressure', '/cell/vacuum/pressure', 'sensor_msgs/msg/FluidPressure')])
-def test_a_vacuum_is_no_valve(m, tmp_path, signal, topic, kind):
-    """Propose the signal of the node for it, and leave the valve open."""
+def test_a_recorded_vacuum_is_proposed(m, tmp_path, signal, topic, kind):
     stamps = START_NS + np.rint(m['t'][::100] * 1e9).astype(np.int64)
     switch = Encoded(topic, kind, stamps, [HEAD + bytes([True])] * len(stamps))
     found = described(
         tmp_path, poses('/tcp/pose', m['t'], m['o'], m['R']),
         poses('/box/pose', m['t'], m['o_p'], m['R_p']), switch)
-    assert found.valve == '' and found.settings['vacuum.signal'] == signal
+    assert found.settings['vacuum.signal'] == signal
