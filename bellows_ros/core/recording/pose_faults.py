@@ -5,8 +5,8 @@ Each test takes milliseconds. Tool and package on a cup move nearly as one rigid
 of one of the two poses breaks this relation in a specific manner. `faults` has the table of tests.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from bellows_ros.core.findings import Finding, Level
@@ -67,10 +67,6 @@ SWAPPED_SECONDS = 0.02
 
 MAX_SWAPS = 3
 """Largest number of reported exchanges of two bodies."""
-
-MAX_STEPS_APART = 0.1
-"""Largest difference of instant and size of one step of a clock in two topics, s: a few delays of
-messages."""
 
 STEP_MARGIN = 5e-3
 """Time left out beside a step of a clock, s: a half of the last digit that is shown."""
@@ -169,24 +165,14 @@ class RecordedPoses:
 
 
 def clock_steps(poses: RecordedPoses) -> Iterator[Finding]:
-    """Yield the steps of the clock that stamps a topic, or both topics, as by NTP."""
+    """Yield the steps of the clocks that stamp the topics, as by NTP."""
     start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
-    of_tool, of_package = (
-        [((at_ns - start) / NS_PER_S, size) for at_ns, size in stream.clock_steps]
-        for stream in (poses.tool, poses.package))
-    both = [step for step in of_tool if _nearest(step, of_package) < MAX_STEPS_APART]
-    for body, steps in (('both', both), ('tool', of_tool), ('package', of_package)):
-        for at, size in steps:
-            if body == 'both' or _nearest((at, size), both) >= MAX_STEPS_APART:
-                yield Finding('clock_step', Level.ERROR, {
-                    'at': at, 'size': size, 'until': at + min(size, 0.0) - STEP_MARGIN,
-                    'since': at + STEP_MARGIN}, body)
-
-
-def _nearest(step: tuple[float, float], steps: Sequence[tuple[float, float]]) -> float:
-    """Return the smallest difference of instant and size between a clock's step and others, s."""
-    return min((float(np.max(np.abs(np.subtract(step, other)))) for other in steps),
-               default=float('inf'))
+    for body, stream in (('tool', poses.tool), ('package', poses.package)):
+        for at_ns, size in stream.clock_steps:
+            at = (at_ns - start) / NS_PER_S
+            yield Finding('clock_step', Level.ERROR, {
+                'at': at, 'size': size, 'until': at + min(size, 0.0) - STEP_MARGIN,
+                'since': at + STEP_MARGIN}, body)
 
 
 def frozen_orientations(poses: RecordedPoses) -> Iterator[Finding]:
@@ -245,22 +231,21 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield a package that is fixed to its tool, or rests under a moving tool."""
     if poses.bodies is None:
         return
-    bodies, package = poses.bodies, poses.package.trajectory()
-    tool_motion, package_motion = map(_deviation, bodies)
-    moves = bool(np.any(tool_motion >= MOVING))
-    noise = NOISE_DEVIATIONS * noise_of(package)
-    if moves and np.all(package_motion < np.fmax(AT_REST, noise)):
+    tool, package = poses.bodies
+    noises = np.array([noise_of(body.trajectory()) for body in (poses.tool, poses.package)])
+    package_motion, moves = _deviation(package), bool(np.any(_deviation(tool) >= MOVING))
+    if moves and np.all(package_motion < np.fmax(AT_REST, NOISE_DEVIATIONS * noises[1])):
         yield Finding('no_swing', Level.ERROR, {
             'fixed': 'rests while the tool moves', **_sizes(package_motion)}, 'package')
         return
-    relative = _seen_from(poses.tool.trajectory(), package)
-    if not poses.one_frame or len(relative) < SAMPLES // 2:
-        return
-    noise, deviation = noise_of(relative), _deviation(relative)
-    tilt = float(np.linalg.norm(np.std(bodies[0].rotation[:, 2, :2], axis=0)))
-    is_seen = moves or float(noise[3:].max()) < MIN_TILT_RATIO * tilt
+    back, noise = np.swapaxes(tool.rotation, 1, 2), np.hypot(*noises)
+    relative = replace(package, position=lie.apply(back, package.position - tool.position),
+                       rotation=back @ package.rotation)
+    deviation = _deviation(relative)
+    tilt = float(np.linalg.norm(np.std(tool.rotation[:, 2, :2], axis=0)))
     distance = float(np.median(np.linalg.norm(relative.position, axis=1)))
-    if is_seen and distance < conventions.MAX_DISTANCE and np.all(
+    if poses.one_frame and distance < conventions.MAX_REACH and (
+            moves or float(noise[3:].max()) < MIN_TILT_RATIO * tilt) and np.all(
             deviation < np.fmax(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
             noise < MOVING / 10.0):
         yield Finding('no_swing', Level.ERROR, {
@@ -271,18 +256,6 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Finding]:
 def _sizes(deviation: Array) -> dict[str, float]:
     """Return the largest deviations of a pose (6,), m and rad."""
     return {'position': float(deviation[:3].max()), 'rotation': float(deviation[3:].max())}
-
-
-def _seen_from(tool: Trajectory, package: Trajectory) -> Trajectory:
-    """Return the package in the axes of the tool, in groups of five successive poses."""
-    first, last = common_span(tool, package)
-    inside = np.flatnonzero((package.stamps_ns >= first) & (package.stamps_ns <= last))
-    starts = inside[:-4][::max(len(inside) // (2 * SAMPLES), 1)]
-    package = package.select(np.unique((starts[:, None] + np.arange(5)).ravel()))
-    tool = resample(tool, package.stamps_ns)
-    back = np.swapaxes(tool.rotation, 1, 2)
-    return Trajectory(package.stamps_ns, lie.apply(back, package.position - tool.position),
-                      back @ package.rotation)
 
 
 def noise_of(body: Trajectory) -> Array:
@@ -297,14 +270,12 @@ def noise_of(body: Trajectory) -> Array:
 
 
 def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
-    """Yield wrong units, and quaternions that explain non-rigid motion."""
-    if poses.bodies is None:
-        return
-    units = conventions.units_of(poses.bodies, poses.one_frame)
-    yield from (Finding('millimetres', Level.ERROR, topic=body) for body, is_wrong in zip(
-        ('tool', 'package'), units, strict=True) if is_wrong)
-    bodies = conventions.changed(poses.bodies, units, conventions.in_metres)
-    if poses.one_frame and (body := conventions.wrong_order(bodies)):
+    """Yield positions in millimetres, and quaternions that explain non-rigid motion."""
+    wrong = [body for body, stream in (('tool', poses.tool), ('package', poses.package))
+             if conventions.in_millimetres(stream.trajectory())]
+    yield from (Finding('millimetres', Level.ERROR, topic=body) for body in wrong)
+    if poses.one_frame and poses.bodies and not wrong and (
+            body := conventions.wrong_order(poses.bodies)):
         yield Finding('quaternions', Level.ERROR, topic=body)
 
 

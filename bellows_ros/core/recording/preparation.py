@@ -43,9 +43,6 @@ MAX_LATERAL_OFFSET = 5e-3
 MAX_LATERAL_COM = 1e-6
 """Largest lateral centre of mass that counts as none, m."""
 
-MAX_TRAVEL = 20.0
-"""Largest travel of a body in metres, m: a larger one is in millimetres."""
-
 
 def prepare(
     tool: PoseStream, package: PoseStream, settings: PrepareSettings,
@@ -260,10 +257,7 @@ def remarks_on(report: StreamReport) -> list[Finding]:
         remarks.append(Finding('jitter', Level.WARN, jitter, topic))
     elif _in_bursts(report):
         return [Finding('jitter', Level.ERROR, jitter, topic), *remarks]
-    good = recorded.position[report.outliers.good]
-    travel = float(np.ptp(good, axis=0).max()) if len(good) else 0.0
     return remarks + [Finding(code, Level.WARN, numbers, topic) for is_due, code, numbers in (
-        (travel > MAX_TRAVEL, 'millimetres', {}),
         (time.rate_hz < LOW_RATE_HZ, 'low_rate', {'rate': time.rate_hz, 'least': LOW_RATE_HZ}),
         (report.stamp_resolution > 0.0, 'quantised', {
             'tick': report.stamp_resolution, 'repeated': report.repeated_stamps,

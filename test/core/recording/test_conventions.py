@@ -36,11 +36,11 @@ def faults(*both):
 
 
 def expected(tool, package):
-    """Return the faults of poses by such conventions."""
+    """Return the faults of poses by such conventions; orders are judged of poses in metres."""
     first = {(True, False): 'tool', (False, True): 'package', (True, True): 'both'}.get(
         (tool.w_first, package.w_first))
     return {('millimetres', body) for body, own in (('tool', tool), ('package', package))
-            if own.millimetres} | ({('quaternions', first)} if first else set())
+            if own.millimetres} or ({('quaternions', first)} if first else set())
 
 
 def w_first(R):
@@ -61,7 +61,7 @@ def streams(tool, package):
 
 
 @pytest.mark.parametrize(('tool', 'package'), [
-    (ALL[0], ALL[0]), (ALL[1], ALL[2]), (ALL[2], ALL[0]), (ALL[3], ALL[3])])
+    (ALL[0], ALL[0]), (ALL[1], ALL[2]), (ALL[2], ALL[0]), (ALL[1], ALL[1])])
 def test_each_stream_has_its_own(tool, package):
     assert faults(*streams(tool, package)) == expected(tool, package)
 

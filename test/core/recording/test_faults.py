@@ -118,7 +118,6 @@ FAULTS = {
     'one body': (lambda t, p: (t, replace(t, name='/other')), 'no_swing', 'package'),
     'on the table': (lambda t, p: (t, still(p)), 'no_swing', 'package'),
     'clock': (lambda t, p: clocks(t, p, 0.0, -0.3), 'clock_step', 'package'),
-    'clock of both': (lambda t, p: clocks(t, p, 0.5, 0.5), 'clock_step', 'both'),
     'swapped': (lambda t, p: swapped(t, p, 4), 'swapped', 'both'),
     'swapped at first': (lambda t, p: swapped(t, p, 0, 1), 'swapped', 'both'),
     'swapped from then on': (lambda t, p: swapped(t, p, *range(3, 10)), 'swapped', 'both'),
@@ -132,7 +131,7 @@ FAULTS = {
 
 TWO_FRAMES = {
     name: FAULTS[name][1:] for name in (
-        'clock', 'clock of both', 'at rest', 'frozen package', 'frozen tool', 'on the table',
+        'clock', 'at rest', 'frozen package', 'frozen tool', 'on the table',
         'millimetres', 'z of the tool')}
 """Code and body of the faults that are seen although the package is in two worlds."""
 
