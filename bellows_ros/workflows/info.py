@@ -208,8 +208,7 @@ class Info(NamedTuple):
     @property
     def is_tag(self) -> bool:
         """Whether the package's poses seem to be of a detected tag."""
-        return any(finding.code == 'sensor' and finding.numbers['kind'] == 'detected tag'
-                   for finding in self.findings)
+        return any(finding.code == 'sensor' for finding in self.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:
