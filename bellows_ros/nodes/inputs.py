@@ -114,26 +114,11 @@ class SensorInput:
             {reason: count - before.get(reason, 0) for reason, count in refused.items()}, refused)
 
     def _mismatch(self, publishers: int) -> Finding | None:
-        """Return the finding on an incompatible or a second publisher, if any."""
-        asked = self._subscription.qos_profile
-        may_miss = self._type == 'std_msgs/msg/Bool' and self.last_ns < 0 and (
-            asked.durability == DurabilityPolicy.VOLATILE)
-        is_alone = publishers < 2 or self._type == TRANSFORMS  # /tf is shared
-        if not may_miss and is_alone and self._subscription.get_publisher_count() >= publishers:
+        """Return the finding on several publishers, if any; rclpy logs an incompatible QoS."""
+        if publishers < 2 or self._type == TRANSFORMS:  # /tf is shared
             return None
         others = self._node.get_publishers_info_by_topic(self.topic)
-        for other in others:
-            offered = other.qos_profile
-            if may_miss and offered.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-                return health.fact('qos', topic=self.topic, name='durability')
-            if other.topic_type != self._type:
-                return health.fact('type', topic=self.topic, name=other.topic_type)
-            for name, mismatch in (
-                    ('reliability', (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)),
-                    ('durability', (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE))):
-                if (getattr(asked, name), getattr(offered, name)) == mismatch:
-                    return health.fact('qos', topic=self.topic, name=name)
-        return None if is_alone else health.fact('publishers', topic=self.topic, names=', '.join(
+        return health.fact('publishers', topic=self.topic, names=', '.join(
             sorted({shown(other.node_name) for other in others})))
 
 

@@ -30,11 +30,8 @@ from ..report import health
 
 REPORT_PERIOD = 1.0
 
-CUP_DEFAULTS = {
-    'cup.stiffness': 'cup.stiffness K of (4.78)',
-    'cup.damping': 'cup.damping P of (4.79)',
-    'cup.length': 'cup.length l0 = 0.0481 m'}
-"""Parameters of a cup, and words for their default values."""
+CUP = ('cup.stiffness', 'cup.damping', 'cup.length')
+"""Parameters of a cup with the defaults (4.78), (4.79) and 48.1 mm of the thesis."""
 
 
 class PredictorNode(ManagedNode):
@@ -185,14 +182,10 @@ class PredictorNode(ManagedNode):
         """Go through an allowed transition; reject any other."""
         try:
             change(request, response)
-        except RuntimeError:  # of rcl
-            allowed = ', '.join(
-                f'{label} ({number})'
-                for number, label, *_ in self._state_machine.available_transitions)
-            name = shown(request.transition.label) or request.transition.id
+        except RuntimeError as error:  # of rcl
             self.get_logger().warning(
-                f"Transition '{name}' refused: from '{self.lifecycle_state}' only "
-                f'{allowed or "none"}.')
+                f"Transition '{shown(request.transition.label) or request.transition.id}' from "
+                f"'{self.lifecycle_state}' refused: {shown(str(error))}")
             response.success = False
         return response
 
@@ -205,7 +198,7 @@ class PredictorNode(ManagedNode):
     def _log_model(self, pipeline: Pipeline) -> None:
         """Log the cup and the package in use."""
         log, values = self.get_logger().info, pipeline.values
-        if thesis := [text for key, text in CUP_DEFAULTS.items() if key not in self.overridden]:
+        if thesis := sorted({*CUP} - self.overridden):
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
         log(f'Package of {values.package.mass:g} kg.')
@@ -254,10 +247,16 @@ def _brief(value: object) -> str:
 
 
 LOG_DELAY = 5.0
-"""Duration of a fault before it is logged, s."""
+"""Duration of silence before it is logged, s."""
 
 LOG_INTERVAL = 30.0
 """Time before a fault is logged again, s."""
+
+LOGGED = ('prediction', 'tool pose', 'tool twist', 'load')
+"""Lines with faults that are logged; others log their faults as they occur."""
+
+UNLOGGED = ('flips', 'no_poses', 'outside', 'state')
+"""Findings that another line explains, or that come and go with the motion."""
 
 
 class Diagnostics:
@@ -276,12 +275,12 @@ class Diagnostics:
         self._publisher = node.create_publisher(
             DiagnosticArray, '/diagnostics', QoSProfile(depth=10),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        self._due: dict[tuple[str, object], float] = {}
+        self._due: dict[tuple[str, str], float] = {}
 
     def report(self) -> None:
         """Publish all lines, and log their faults."""
         name = self._node.get_fully_qualified_name().lstrip('/')
-        message = DiagnosticArray()
+        message, lines = DiagnosticArray(), self._lines()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
             DiagnosticStatus(
@@ -289,64 +288,56 @@ class Diagnostics:
                 message=shown(line.message, MAX_MESSAGE), hardware_id='suction cup',
                 values=[KeyValue(key=key, value=shown(value, MAX_MESSAGE))
                         for key, value in line.values.items()])
-            for line in self._lines()]
+            for line in lines]
         self._publisher.publish(message)
+        for line in lines:
+            self._log(line)
 
     def _lines(self) -> list[health.Status]:
         """Return all lines."""
         state: str = self._node.lifecycle_state
         pipeline: Pipeline | None = self._node.pipeline
         if pipeline is None:
-            self._due.clear()
             return [health.Status('prediction', health.prediction_finding(
                 state, 'none', {}, True, True, False), {'lifecycle': state})]
         live, new = pipeline.live, pipeline.new_counts()
-        restarts = {reason: new[reason] for reason in live.restarts}
-        above = live.is_above
         counts = {**live.counts, **{f'failed: {k}': n for k, n in self._node.failures.items()}}
         phase = live.phase(time.monotonic_ns())
-        lines = [health.Status('prediction', health.prediction_finding(
-            state, phase, restarts, live.tool.motion.verdict != 'does_not_fit',
-            live.package.has_covariance, above), {
+        line = health.Status('prediction', health.prediction_finding(
+            state, phase, {reason: new[reason] for reason in live.restarts},
+            live.tool.motion.verdict != 'does_not_fit', live.package.has_covariance,
+            live.is_above), {
                 'lifecycle': state, 'phase': phase,
                 **health.quantiles(
                     'compute time {} (us)', health.taken(pipeline.compute), 1e6),
                 'twists against poses': live.tool.motion.verdict,
-                **{name: str(count) for name, count in counts.items()}})]
+                **{name: str(count) for name, count in counts.items()}})
         if state != 'active':
-            return lines
-        started = tuple(reason for reason, count in restarts.items() if count)
-        self._log(lines[0], above or bool(started), 0.0 if started else LOG_DELAY, started)
+            return [line]
         of_twists = {k: n for k, n in live.refused.items() if k.startswith('twist_')}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
         of_twists.pop('twist_unpaired')  # no fault if twists come more often than poses
         twist_in, poses = pipeline.twist_in, pipeline.pose_in.report(of_poses)
         twists = twist_in.report(of_twists) if twist_in else poses._replace(
             refused={}, total_refused=of_twists)
-        lines += [
-            health.input_status('tool pose', poses),
-            health.twist_status('tool twist', twists, new['poses'], new['alone'] * bool(twist_in))]
-        for line, report in zip(lines[1:], (poses, twists), strict=True):
-            refused = any(report.refused.values())
-            self._log(line, line.level > Level.OK, 0.0 if refused else LOG_DELAY, refused)
         others = (
             pipeline.observing.status('measured package'),
             pipeline.observing.wrench_status('wrench'), pipeline.attachment.status('vacuum'),
             pipeline.planning.status)
-        load = health.load_status('load', pipeline.load)
-        for line in filter(None, (load, *others)):
-            self._log(line, line.finding.code in ('unsafe', 'lets_go', 'publishers'))
-        return [*lines, load, *filter(None, others)]
+        return [
+            line, health.input_status('tool pose', poses),
+            health.twist_status('tool twist', twists, new['poses'], new['alone'] * bool(twist_in)),
+            health.load_status('load', pipeline.load), *filter(None, others)]
 
-    def _log(
-        self, line: health.Status, wrong: bool, after: float = 0.0, kind: object = None
-    ) -> None:
-        """Log a line whose fault persists; faults of one level and kind only at intervals."""
-        now, key = time.monotonic(), (line.name, (line.level, kind))
-        if not wrong:
-            self._due = {other: due for other, due in self._due.items() if other[0] != line.name}
-        elif now >= self._due.setdefault(key, now + after):
-            self._due[key] = now + LOG_INTERVAL
+    def _log(self, line: health.Status) -> None:
+        """Log a fault of a line, again only at intervals; silence only if it persists."""
+        now, code = time.monotonic(), line.finding.code
+        if line.level == Level.OK:
+            self._due = {key: due for key, due in self._due.items() if key[0] != line.name}
+        elif code in UNLOGGED or not (line.name in LOGGED or code == 'publishers'):
+            return
+        elif now >= self._due.setdefault((line.name, code), now + LOG_DELAY * (code == 'silent')):
+            self._due[line.name, code] = now + LOG_INTERVAL
             if line.level == Level.ERROR and line.name in ('prediction', 'load'):
                 self._node.get_logger().error(shown(line.message, MAX_MESSAGE))
             else:  # another line of code, as rclpy rejects a second severity from one

@@ -94,7 +94,7 @@ class InputReport(NamedTuple):
     topic: str
     publishers: int
     mismatch: Finding | None
-    """QoS setting, type or frame that is incompatible with a publisher, or several publishers."""
+    """Frames that are missing despite a publisher, or several publishers."""
     messages: int
     intervals: Array
     """Times between arrivals, s."""

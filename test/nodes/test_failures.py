@@ -100,12 +100,11 @@ ALL_PAIRS = (0, 0, 1, 1, 2, 2, 0, 2, 1, 0)  # of levels that follow each other
 
 def test_every_pair_of_severities_is_logged(node, monkeypatch, capfd):
     """Log each line at each level after each other, which rclpy refuses from one line of code."""
-    for name in ('LOG_DELAY', 'LOG_INTERVAL'):
-        monkeypatch.setattr(predictor_node, name, 0.0)
+    monkeypatch.setattr(predictor_node, 'LOG_INTERVAL', 0.0)
     for number, level in enumerate(ALL_PAIRS):
         for name in ('prediction', 'tool pose', 'tool twist', 'load'):
             node.diagnostics._log(Status(name, fact(
-                'state', Level(level), state=f'{name} {number} is {level}'), {}), True)
+                'wrench', Level(level), reason=f'{name} {number} is {level}'), {}))
     log = capfd.readouterr().err.splitlines()
     for line, word in (('prediction', 'ERROR'), ('load', 'ERROR'), ('tool pose', 'WARN')):
         assert any(f'[{word}]' in text and f'{line} 4 is 2' in text for text in log)

@@ -10,7 +10,6 @@ from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from numpy.testing import assert_allclose
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
@@ -62,16 +61,6 @@ def test_nobody_silent_and_good(listener, partner):
     assert listener.sees('load', OK, 'safety factor of the grip is unknown')
     partner.node.destroy_publisher(partner.pose_writer)
     assert listener.sees('tool pose', ERROR, 'of 0 publishers')
-
-
-def test_qos_mismatch_is_named(make_predictor, listener):
-    """Say which policy does not match and what to set."""
-    make_predictor({
-        **PACKAGE, 'qos_overrides./tool_arm/pose.subscription.reliability': 'reliable'})
-    listener.node.create_publisher(PoseStamped, 'tool_arm/pose', QoSProfile(
-        depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-    assert listener.sees(
-        'tool pose', ERROR, 'Set qos_overrides./tool_arm/pose.subscription.reliability')
 
 
 def test_two_publishers_of_a_topic_are_named(ros, listener, make_partner):

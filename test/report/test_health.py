@@ -49,12 +49,12 @@ def of_load(factor, bending):
     return health.load_status('x', load)
 
 
-NO_LINK = fact('qos', topic='/topic', name='durability')
+NO_LINK = fact('publishers', topic='/topic', names='a, b')
 
 
 @pytest.mark.parametrize(('status', 'level', 'words'), [
     (of_input(), Level.OK, '500 Hz'),
-    (of_input(messages=0, mismatch=NO_LINK), Level.ERROR, 'durability'),
+    (of_input(messages=0, mismatch=NO_LINK), Level.ERROR, 'several publishers'),
     (of_input(refused={'nan': 3, 'jump': 0}), Level.WARN, '3 of 500'),
     (of_input(refused={'frame_id': 500}), Level.ERROR, '500 of 500'),
     (of_input(ages=np.full(3, 5.0)), Level.WARN, '5 s behind'),
@@ -69,7 +69,7 @@ NO_LINK = fact('qos', topic='/topic', name='durability')
     (of_vacuum(False, False, messages=0), Level.ERROR, '3.0 s'),
     (of_vacuum(False, True, messages=0, silent=math.inf), Level.ERROR, '/topic'),
     (of_vacuum(False, True, messages=1, refused={'gauge': 1}), Level.ERROR, 'gauge'),
-    (of_vacuum(True, True, mismatch=NO_LINK), Level.WARN, 'durability'),
+    (of_vacuum(True, True, mismatch=NO_LINK), Level.WARN, 'several publishers'),
     (of_prediction(state='inactive'), Level.OK, 'Inactive'),
     (of_prediction(phase='coasting'), Level.WARN, 'Coasting'),
     (of_prediction(restarts={'gap': 2}), Level.WARN, '2 x'),
