@@ -475,8 +475,6 @@ def unit_doubts(
         doubts.append(
             f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '
             f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
-    elif doubt := too_dense(mass, gyration):
-        doubts.append(doubt)
     return tuple(doubts)
 
 
@@ -498,15 +496,6 @@ def cup_doubts(stiffness: Array, length: float) -> tuple[str, ...]:
         doubts.append(f'cup.length is {length:g} m; cups of this kind have up to '
                       f'{MAX_PLAUSIBLE_LENGTH:g} m. Is it in another unit?')
     return tuple(doubts)
-
-
-def too_dense(mass: float, gyration: float) -> str:
-    """Return a question if a package (kg, m) is denser than a ball of lead, else ''."""
-    # density of lead, kg/m^3
-    least = float(np.sqrt(1.2) * (3.0 * mass / (4.0 * np.pi * 11_340.0)) ** (1 / 3))
-    return '' if gyration >= least else (
-        f'package.inertia has a radius of gyration of {gyration:.3g} m; even a ball of lead of '
-        f'{mass:g} kg has {least:.3g} m. Is package.mass in kg, and package.inertia in kg m^2?')
 
 
 def unit_of_inertia(gyration: float) -> str:

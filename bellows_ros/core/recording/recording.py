@@ -50,10 +50,6 @@ MAX_STEP_ERROR = 0.2
 NOISE_SAMPLES = 20_000
 """Smallest number of windows or samples for the noise, which gives the noise to 1 %."""
 
-PLACES = 8
-"""Number of interpolation points between two tool poses for which noise weights are computed."""
-
-
 LOW_RATE_HZ = 100.0
 """Rate of poses below which polynomials do not follow the motion on a cup, Hz."""
 
@@ -255,8 +251,7 @@ class FilterNoise:
     tool, package : Noise
         White noise of the measured poses, m and rad per axis.
     tool_weights, package_weights : ndarray (3, m)
-        Weights of the filters for pose, rate and acceleration, or other weights with equal
-        products.
+        Weights of the filters for pose, rate and acceleration.
 
     """
 
@@ -264,31 +259,6 @@ class FilterNoise:
     package: Noise
     tool_weights: Array
     package_weights: Array
-
-
-def resampled_weights(measured_ns: Stamps, wanted_ns: Stamps, weights: Array) -> Array:
-    """
-    Return weights (3, m) with the mean products of a filtered motion at other stamps.
-
-    `resample` interpolates by cubic polynomials, whose slope between two poses has more noise than
-    the twists at the two poses.
-
-    Parameters
-    ----------
-    measured_ns, wanted_ns : int ndarray (N,), (M,)
-        Uniform stamps of the filtered motion, and the stamps of the interpolation, ns.
-    weights : ndarray (3, 2n+1)
-        Weights of the filter.
-
-    """
-    step_ns = float(np.median(np.diff(measured_ns)))
-    fractions = (wanted_ns - measured_ns[0]) % step_ns / step_ns
-    step_s = step_ns / trajectory.NS_PER_S
-    first, second = (np.pad(weights, ((0, 0), ends)) for ends in ((0, 1), (1, 0)))
-    s = np.quantile(fractions, (np.arange(PLACES) + 0.5) / PLACES)[:, None]
-    value, slope = resampling.cubic(s, step_s * first[1], second[0] - first[0], step_s * second[1])
-    parts = np.stack([first[0] + value, slope / step_s, np.tile(first[2], (PLACES, 1))])
-    return np.asarray(parts.reshape(3, -1) / np.sqrt(PLACES))
 
 
 T = TypeVar('T')
@@ -657,11 +627,7 @@ class Recording:
     @cached_property
     def noise(self) -> FilterNoise:
         """White noise of the measured poses, and the filters of the poses."""
-        of_tool, of_package = self.filters
-        return FilterNoise(
-            *self._pose_noise, resampled_weights(
-                of_tool.poses.stamps_ns, self.measured_tool.stamps_ns, of_tool.weights),
-            of_package.weights)
+        return FilterNoise(*self._pose_noise, *(body.weights for body in self.filters))
 
     @cached_property
     def ar1_noise(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:

@@ -231,34 +231,19 @@ def with_filtered_noise(
         Generator of random numbers.
 
     """
+    assert motion.twist is not None
     at = period * np.arange(int(motion.seconds[-1] / period) + 2)
     white = np.repeat(noise, 3) * draw.standard_normal((len(at) + weights.shape[1] - 1, 6))
     drawn = np.hstack([correlated(part, lag_1) for part, lag_1 in zip(
         np.hsplit(white, 2), ar1.tolist(), strict=True)])
-    filtered = np.array([
-        np.column_stack([np.interp(motion.seconds, at, np.correlate(column, row))
-                         for column in drawn.T]) for row in weights])
-    return displaced(motion, filtered[..., :3], filtered[..., 3:])
-
-
-def displaced(motion: Trajectory, o: Array, phi: Array) -> Trajectory:
-    """Return a motion with a shift, a rotation and their derivatives (3, N, 3), in world axes."""
-    if motion.twist is None:
-        raise BellowsError('Samples need twists; filter the recording first.')
-    R, v, w = motion.rotation, motion.twist[:, :3], motion.twist[:, 3:]
-    R_new = lie.exp_so3(phi[0]) @ R
-    R_inverse = np.swapaxes(R_new, -1, -2)
-    v_new = lie.apply(R_inverse, lie.apply(R, v) + o[1])
-    w_new = lie.apply(R_inverse, lie.apply(R, w) + phi[1])
-    acceleration = None
-    if motion.acceleration is not None:
-        dv, dw = motion.acceleration[:, :3], motion.acceleration[:, 3:]
-        linear = lie.apply(R_inverse, lie.apply(R, dv + np.cross(w, v)) + o[2])
-        linear -= np.cross(w_new, v_new)
-        acceleration = np.hstack([linear, lie.apply(R_inverse, lie.apply(R, dw) + phi[2])])
+    (o, phi), (o_rate, phi_rate) = (
+        np.hsplit(np.column_stack([np.interp(motion.seconds, at, np.correlate(column, row))
+                                   for column in drawn.T]), 2) for row in weights[:2])
+    R = lie.exp_so3(phi) @ motion.rotation
+    v, w = (lie.apply(np.swapaxes(R, -1, -2), lie.apply(motion.rotation, part) + rate)
+            for part, rate in zip(np.hsplit(motion.twist, 2), (o_rate, phi_rate), strict=True))
     return Trajectory(
-        motion.stamps_ns, motion.position + o[0], R_new, np.hstack([v_new, w_new]),
-        acceleration, motion.valid)
+        motion.stamps_ns, motion.position + o, R, np.hstack([v, w]), valid=motion.valid)
 
 
 def bridged(poses: Trajectory) -> Trajectory:
