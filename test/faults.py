@@ -20,7 +20,7 @@ from .core.identification.laboratory import parameters
 def outcome(laboratory, cause):
     """Return the judgement of the first finding on a laboratory's recordings, and all findings."""
     try:
-        recordings = laboratory.recordings()
+        recordings = [laboratory.recording()]
         values = parameters(laboratory)
         length = values['cup.length']
         if wrong := [code for one in recordings for code in before_a_fit(one)]:

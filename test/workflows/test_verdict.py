@@ -103,7 +103,7 @@ def test_a_cup_that_does_not_predict_the_last_fifth_is_refused(factor, refused):
     laboratory = Laboratory(4, seconds=4.0)
     whole, first = (made_for(laboratory, each) for each in (1.0, factor))
     found = verdict.verdict_of(
-        replace(whole, held_out=first.parameters), laboratory.recordings(), laboratory.length,
+        replace(whole, held_out=first.parameters), [laboratory.recording()], laboratory.length,
         parameters(laboratory))
     assert [(reason.code, reason.numbers['axes']) for reason in found.refusals] == (
         [('not_predicted', 'rz')] * refused)
@@ -114,7 +114,7 @@ def test_what_a_fit_found_comes_after_nothing_but_facts():
     laboratory = Laboratory(4, seconds=4.0)
     wrong = cause('com', [3e-3, 0.0, 0.0]), cause('length', [2e-3])
     found = verdict.verdict_of(
-        replace(made_for(laboratory), causes=wrong), laboratory.recordings(), laboratory.length,
+        replace(made_for(laboratory), causes=wrong), [laboratory.recording()], laboratory.length,
         parameters(laboratory))
     assert found.is_at_noise and found.causing == wrong
     recording = laboratory.recording()

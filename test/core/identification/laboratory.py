@@ -11,7 +11,7 @@ from bellows_ros.core.model.simulation import row_state, tool_rows, write_row
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.preparation import prepare
 from bellows_ros.core.recording.recording import PrepareSettings
-from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, TwistStream
+from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 import numpy as np
 from scipy.signal import butter, lfilter
 
@@ -101,13 +101,11 @@ class Laboratory:
         self.rate_hz, self.coloured = rate_hz, coloured
         self.frame = str(rng.choice(['com', 'lip']))
         self.said_frame, self.said_world, self.world = self.frame, 'z_up', np.eye(3)
-        self.late, self.turn, self.scale, self.swapped = 0.0, {}, {}, False
+        self.late, self.turn = 0.0, {}
         self.apart, self.wander, self.friction = np.zeros(6), np.zeros(3), 0.0
         self.slipped, self.level, self.low_pass_hz = np.zeros(3), np.eye(3), 0.0
         self.leak, self.clock_rate, self.magnified = 0.0, 0.0, 1.0
-        self.twist_unit, self.w_first, self.occluded, self.exchanged = 0.0, (), False, False
-        self.camera_hz, self.blur, self.pull = rate_hz, 0.0, np.zeros(3)
-        self.misread = lambda tool, package: (tool, package)
+        self.occluded, self.camera_hz, self.pull = False, rate_hz, np.zeros(3)
         self.motion = shake(duration=seconds, seed=int(rng.integers(1 << 30)))
         self.law = lambda when, deflection: self.K
         self.soften(soft)
@@ -127,18 +125,6 @@ class Laboratory:
         own = self.said
         self.said = Package(mass * own.mass, inertia * own.inertia, own.com + com)
 
-    def recordings(self):
-        """Return the recording, or two recordings with exchanged packages."""
-        if not self.exchanged:
-            return [self.recording()]
-        heavy = Package(1.6 * self.package.mass, 1.6 * self.package.inertia, self.package.com)
-        both = []
-        for number, said in enumerate((heavy, self.package)):
-            self.said = said
-            both.append(replace(self.recording(), name=f'recording {number}'))
-            self.package = heavy
-        return both
-
     def recording(self):
         """Return the recording, prepared with the stated parameters."""
         tool = self.motion.at_rate(self.rate_hz, 0)
@@ -147,16 +133,10 @@ class Laboratory:
         body = moved(cup, self.package, tool, self.law, self.friction, self.slipped,
                      self.leak, self.pull)
         tool, body = (_turned(self.level.T, own) for own in (tool, body))
-        streams = [self._seen('package', body, self.noise[0]),
-                   self._seen('tool', tool, self.noise[1])]
-        streams = list(self.misread(*streams[::-1]))[::-1]
-        twist = TwistStream(
-            'twist', 'world', streams[1].stamps_ns,
-            *(apply(tool.rotation, part) for part in (
-                tool.twist[:, :3], self.twist_unit * tool.twist[:, 3:])))
-        return prepare(*streams[::1 if self.swapped else -1], PrepareSettings(
+        package = self._seen('package', body, self.noise[0])
+        return prepare(self._seen('tool', tool, self.noise[1]), package, PrepareSettings(
             world=self.said_world, package_frame=self.said_frame, payload=self.said,
-            gravity=GRAVITY), twist if self.twist_unit else None)
+            gravity=GRAVITY))
 
     def _seen(self, name, body, noise):
         """Return a body's poses as they are recorded."""
@@ -170,18 +150,14 @@ class Laboratory:
             turn, middle = exp_so3(self.apart[3:]), p.mean(axis=0)
             p, R = middle + self.apart[:3] + apply(turn, p - middle), turn @ R
             p = self.magnified * (p + body.seconds[:, None] * self.wander)
-            speed = np.linalg.norm(np.gradient(p, axis=0), axis=1)[:, None]
-            drawn *= 1.0 + self.blur * np.minimum(speed / np.quantile(speed, 0.5), 1.0)
         R = R @ self.turn.get(name, np.eye(3)) @ exp_so3(noise[1] * drawn[1])
-        p = self.scale.get(name, 1.0) * apply(self.world, p + noise[0] * drawn[0])
+        p = apply(self.world, p + noise[0] * drawn[0])
         if self.low_pass_hz:
             b, a = butter(2, self.low_pass_hz / (self.rate_hz / 2))
             turn = lie.log_so3(R[0].T @ R)
             p, turn = (own[0] + lfilter(b, a, own - own[0], axis=0) for own in (p, turn))
             R = R[0] @ exp_so3(turn)
         late, R = round(1e9 * self.late) if name == 'tool' else 0, self.world @ R
-        if name in self.w_first:
-            R = quaternion_to_rotation(np.roll(lie.rotation_to_quaternion(R), 1, axis=1))
         seen = np.ones(len(p), dtype=bool)
         if self.occluded and name == 'package':  # a jump of 30 mm that ends with a dropout
             at = len(p) // 3
@@ -246,11 +222,6 @@ def _world(own):
         own.said_world = 'motive_y_up'
 
 
-def _yaw(own):
-    angle = own.rng.choice([np.pi / 2, np.pi, -np.pi / 2])
-    _turn_one(own, np.array([0.0, 0.0, angle]))
-
-
 def _turn_one(own, turn):
     body = str(own.rng.choice(['tool', 'package']))
     own.turn[body] = own.turn.get(body, np.eye(3)) @ exp_so3(turn)
@@ -288,11 +259,6 @@ def _oval(own):
     own.K = own.K * [1.0, ratio, 1.0, ratio, 1.0, 1.0]
 
 
-def _millimetres(own):
-    bodies = [['tool'], ['package'], ['tool', 'package']][own.rng.integers(3)]
-    own.scale = dict.fromkeys(bodies, 1e3)
-
-
 def _marker(own):
     turn = own.rng.normal(size=3)
     turn *= np.radians(own.rng.choice([2.0, 5.0])) / np.linalg.norm(turn)
@@ -308,70 +274,8 @@ def _far_clocks(own):
     own.late = either(own.rng, *((0.11, 1.0) if own.rng.random() < 0.5 else (1.0, 8.0)))
 
 
-def _quaternions(own):
-    own.w_first = (('tool',), ('package',), ('tool', 'package'))[own.rng.integers(3)]
-
-
-def _camera(own, camera_hz, blur=0.0):
-    own.camera_hz, own.blur = camera_hz, blur
-    own.noise = NOISES[2], own.noise[1]
-
-
-def _play(own):
-    play = np.radians(0.3) * np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    own.vary(lambda when, deflection: np.maximum(
-        1.0 - play / np.maximum(radial(deflection), 1e-9), 0.0))
-
-
 def _pull(own):
     own.pull = _aside(own, 2.0)
-
-
-def _leak_and_friction(own):
-    own.leak, own.friction = 1.5e-3, 0.05
-
-
-def _slow_clock(own):
-    own.clock_rate = either(own.rng, 5e-5, 5e-5)
-
-
-def _misread(change):
-    def one_or_both(own):
-        chosen = [(0,), (1,), (0, 1)][own.rng.integers(3)]
-        own.misread = lambda *both: [change(body) if number in chosen else body
-                                     for number, body in enumerate(both)]
-
-    return one_or_both
-
-
-def _still(body):
-    p, phi = np.random.default_rng(0).standard_normal((2, len(body), 3)) * [[[1e-4]], [[3e-4]]]
-    return replace(body, position=body.position[0] + p, rotation=body.rotation[0] @ exp_so3(phi))
-
-
-def _of_tool(tool, package):
-    noise = _still(tool)
-    R = np.swapaxes(noise.rotation[:1], 1, 2) @ noise.rotation
-    return tool, replace(
-        tool, name='package', rotation=tool.rotation @ R, position=noise.position
-        - tool.position[0] + tool.position + tool.rotation @ [0.02, 0.0, 0.03])
-
-
-def _other_axes(own):
-    own.say(inertia=1.0)
-    order = [[1, 2, 0], [2, 0, 1]][own.rng.integers(2)]
-    own.said = Package(own.said.mass, own.said.inertia[np.ix_(order, order)], own.said.com)
-
-
-def _for_a_second(tool, package):
-    mask = (np.arange(len(tool)) // 240 == 4)[:, None]
-    return [replace(one, position=np.where(mask, other.position, one.position),
-                    rotation=np.where(mask[..., None], other.rotation, one.rotation))
-            for one, other in ((tool, package), (package, tool))]
-
-
-def _frozen(body):
-    return replace(body, rotation=np.tile(body.rotation[:1], (len(body), 1, 1)))
 
 
 FAULTS = {
@@ -379,11 +283,8 @@ FAULTS = {
     'centre of mass along z': (_com_along, 'com'),
     'centre of mass aside': (_com_aside, 'com'),
     'length': (_length, 'length'),
-    'inertia in g m^2': (lambda own: own.say(inertia=1e3), 'implausible'),
     'inertia': (_inertia, 'inertia'),
-    'mass in grams': (lambda own: own.say(mass=1e3), 'implausible'),
     'world': (_world, 'sideways'),
-    'yaw': (_yaw, 'turned'),
     'package frame': (_frame, 'package_marker'),
     'two worlds': (_worlds, 'package_world'),
     'drift': (_drift, 'unknown'),
@@ -395,8 +296,6 @@ FAULTS = {
     'clocks drift': (lambda own: setattr(own, 'clock_rate', either(own.rng, 6e-4, 2e-3)),
                      'clock_rate'),
     'scale': (lambda own: setattr(own, 'magnified', 1.0 + either(own.rng, 0.01, 0.03)), 'scale'),
-    'exchanged topics': (lambda own: setattr(own, 'swapped', True), 'exchanged'),
-    'millimetres': (_millimetres, 'millimetres'),
     'two worlds far apart': (_far_worlds, 'package_world'),
     'marker frame turned': (_marker, 'package_marker'),
     'package slipped': (lambda own: setattr(own, 'slipped', _aside(own, 3e-3)), 'slip'),
@@ -404,27 +303,7 @@ FAULTS = {
                        'gravity.direction'),
     'clocks far apart': (_far_clocks, 'time_offset'),
     'mass 10 %': (lambda own: own.say(mass=float(own.rng.choice([0.9, 1.1]))), 'inertia'),
-    'low-pass of 10 Hz': (lambda own: setattr(own, 'low_pass_hz', 10.0), 'low_pass'),
-    'packages exchanged': (lambda own: setattr(own, 'exchanged', True), 'package.files'),
-    'twists in degrees': (lambda own: setattr(own, 'twist_unit', np.degrees(1.0)),
-                          'twists'),
-    'quaternions w first': (_quaternions, 'quaternions'),
     'occlusion beside a dropout': (lambda own: setattr(own, 'occluded', True), 'sound'),
-    'play in torsion': (_play, 'unknown rz'),
     'side pull': (_pull, 'gravity'),
-    'leak and friction': (_leak_and_friction, 'length_drift'),
-    'noise in motion': (lambda own: _camera(own, 60.0, blur=4.0), 'sound'),
-    'clocks 50 ppm apart': (_slow_clock, 'sound'),
-    'marker of the tool': (lambda own: setattr(own, 'misread', _of_tool), 'no_swing'),
-    'package on the table': (lambda own: setattr(
-        own, 'misread', lambda tool, package: (tool, _still(package))), 'no_swing'),
-    'frozen orientation': (_misread(_frozen), 'frozen_orientation'),
-    'bodies exchanged for a second': (
-        lambda own: setattr(own, 'misread', _for_a_second), 'swapped'),
-    'clock steps': (_misread(lambda body: replace(
-        body, clock_steps=((int(body.stamps_ns[len(body) // 2]), 0.3),))), 'clock_step'),
-    'centre of mass in the cup': (
-        lambda own: own.say(com=[0.0, 0.0, -2.0 * own.package.com[2]]), 'implausible'),
-    'inertia about other axes': (_other_axes, 'inertia'),
 }
 """What makes a laboratory faulty, and the name of the cause, or words of the error."""

@@ -55,7 +55,7 @@ def remarks(recording):
 
 def judged(laboratory):
     """Return the fit of a laboratory's recordings, and the verdict."""
-    recordings, values = laboratory.recordings(), parameters(laboratory)
+    recordings, values = [laboratory.recording()], parameters(laboratory)
     found = fit(recordings, values)
     return found, verdict_of(found, recordings, values['cup.length'], values)
 
@@ -255,7 +255,7 @@ def test_clocks_apart_in_rate_are_corrected_before_a_free_simulation():
 def test_a_free_simulation_is_of_what_was_found_with_the_cup():
     """Torsion is shaken near its resonance: 0.1 % of K rz is three times the noise."""
     laboratory = Laboratory(406, rate_hz=480.0)
-    recordings, values = laboratory.recordings(), parameters(laboratory)
+    recordings, values = [laboratory.recording()], parameters(laboratory)
     found = fit(recordings, values)
     (own,), (other,) = (
         verdict_of(one, recordings, values['cup.length'], values).simulated
