@@ -122,7 +122,7 @@ class Observed(NamedTuple):
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the counts of the measured poses, and on the estimated payload."""
         mostly = 2 * self.counts.get('used', 0) >= sum(self.counts.values())
-        counted = ', '.join(f'{n} {what.replace("_", " ")}' for what, n in self.counts.items())
+        counted = ', '.join(f'{what.replace("_", " ")} {n}' for what, n in self.counts.items())
         found = [Finding('measured_poses', Level.OK if mostly else Level.WARN, {
             'counted': counted}, self.topic)]
         if payload := self.payload:

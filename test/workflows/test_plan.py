@@ -250,32 +250,36 @@ def test_lost_grip_and_unknown_grip_are_reported(bag):
     assert any('bending about' in phrase for phrase in outside)
 
 
-def test_what_is_no_plan_is_refused(tmp_path):
-    for content, found in (({'a': 1}, "'points'"), ([1], 'points'), (
-            {**plan_messages()['multi'], 'joint_names': [5]}, '5 as name')):
-        (tmp_path / 'no.yaml').write_text(json.dumps(content))
-        with pytest.raises(BellowsError, match=rf"no\.yaml' holds no .*{found}"):
-            figures(tmp_path / 'no.yaml')
-    with pytest.raises(BellowsError):
-        plan(tmp_path / 'missing', {})  # said before the package's data are asked for
-    times, poses, _ = samples()
-    poses_of = encode(message(kind=PATH, stamp_ns=T0, times_ns=times, points=poses))
-    elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
-    with pytest.raises(BellowsError, match="'else'.*'base'"):
-        figures(bag_of(tmp_path / 'frames', PATH, elsewhere))
-
-
-@pytest.mark.parametrize('form', ['multi', 'joints', 'path'])
-def test_a_plan_without_times_gets_an_error_with_the_remedy(tmp_path, form):
+def untimed(form):
+    """Return a plan as YAML whose points are all at one time."""
     content = plan_messages()[form]
     for each in content.get('points', ()):
         each['time_from_start'] = {'sec': 0, 'nanosec': 0}
     for each in content.get('poses', ()):
         each['header']['stamp'] = {'sec': 0, 'nanosec': 0}
-    (tmp_path / 'plan.yaml').write_text(json.dumps(content))
+    return content
+
+
+@pytest.mark.parametrize(('content', 'named'), [
+    ({'a': 1}, r"no\.yaml' holds no .*'points'"), ([1], r"no\.yaml' holds no .*'points'"),
+    ({**plan_messages()['multi'], 'joint_names': [5]}, r"no\.yaml' holds no .*5 as name"),
+    *((untimed(form), 'is not timed.*time parameterization')
+      for form in ('multi', 'joints', 'path'))])
+def test_what_is_no_plan_is_refused(tmp_path, content, named):
+    (tmp_path / 'no.yaml').write_text(json.dumps(content))
     (tmp_path / 'arm.urdf').write_text(URDF)
-    with pytest.raises(BellowsError, match='is not timed.*time parameterization'):
-        figures(tmp_path / 'plan.yaml', urdf=tmp_path / 'arm.urdf', values={'tool_link': 'tool'})
+    with pytest.raises(BellowsError, match=named):
+        figures(tmp_path / 'no.yaml', urdf=tmp_path / 'arm.urdf', values={'tool_link': 'tool'})
+
+
+def test_a_plan_in_two_frames_or_in_one_that_moves_is_refused(tmp_path):
+    times, poses, _ = samples()
+    poses_of = encode(message(kind=PATH, stamp_ns=T0, times_ns=times, points=poses))
+    elsewhere = poses_of.replace(b'base', b'else')[:24] + poses_of[24:]
+    moving = encode(message(frame_id='tool0'))
+    for kind, data, named in ((PATH, elsewhere, "'else'.*'base'"), (MULTI_DOF, moving, "'tool0'")):
+        with pytest.raises(BellowsError, match=named):
+            figures(bag_of(tmp_path / kind[-4:], kind, data))
 
 
 def test_a_plan_that_begins_in_motion_is_reported_and_starts_in_motion(tmp_path):
@@ -292,12 +296,6 @@ def test_a_plan_that_begins_in_motion_is_reported_and_starts_in_motion(tmp_path)
     assert_allclose(found['peak_force'], 1.8 * math.hypot(3.0, 9.81), rtol=1e-3)
     with pytest.raises(BellowsError):
         figures(bag, seek_fastest=True)
-
-
-def test_a_plan_in_a_frame_that_moves_is_refused(tmp_path):
-    bag = bag_of(tmp_path / 'bag', MULTI_DOF, encode(message(frame_id='tool0')))
-    with pytest.raises(BellowsError, match="'tool0'"):
-        figures(bag)
 
 
 @pytest.mark.parametrize(('topic', 'begin', 'rests'), [
