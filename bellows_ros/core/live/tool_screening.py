@@ -235,7 +235,7 @@ class Screen(StampScreen):
         pause_ns, reason = stamp_ns - self.newest_ns, self.judge_stamp(stamp_ns, arrival_ns)
         if reason in REFUSALS:
             return reason
-        if not same_frame(self.frame, frame_id):
+        if frame_id != self.frame and not same_frame(self.frame, frame_id):
             return 'frame_id' if 0 < pause_ns < NEW_FRAME_NS else 'frame_changed'
         return reason or self._judge_place(stamp_ns, o, q)
 

@@ -190,7 +190,7 @@ class Correction:
             covariance=self.propagated(before, track, estimate.stamp_ns).covariance)
 
     def _step(
-        self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool,
+        self, before: Estimate, track: Track, stamp_ns: int,
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, support: int = 0,
     ) -> tuple[measured.Corrected, Estimate]:
         """Return result and estimate of `filter_step`; with gate 0 propagate only."""
@@ -203,7 +203,7 @@ class Correction:
             theta = theta.copy()
             theta[states.LATENCY - STATE] -= late
         result = measured.filter_step(
-            self.row, self.law, (*before[:3], theta, *before[4:6]), track.samples, is_recorded,
+            self.row, self.law, (*before[:3], theta, *before[4:6]), track.samples,
             stamp_ns, self.max_step, (self._drive, walk, self._marker[3][0]),
             MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
@@ -221,7 +221,7 @@ class Correction:
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
         return estimate if estimate.stamp_ns >= stamp_ns else self._step(
-            estimate, track, stamp_ns, True, support=estimate.support)[1]
+            estimate, track, stamp_ns, support=estimate.support)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
         """
@@ -238,14 +238,11 @@ class Correction:
 
     def body_at_end(self, estimate: Estimate, track: Track) -> State:
         """Return the package at the newest sample of the tool, and write it into the samples."""
-        if estimate.stamp_ns == track.newest_ns:
-            return estimate.body
-        return ekf.body_at_end(self.row, self.law, estimate.moving, track.samples,
-                               track.newest_ns, self.max_step)
+        return ekf.followed(self.row, self.law, estimate.moving, track.samples, 0, estimate.tool,
+                            self.max_step, math.inf)[0]
 
     def updated(
-        self, before: Estimate, track: Track, measurement: Measurement, is_recorded: bool,
-        support: int = 0,
+        self, before: Estimate, track: Track, measurement: Measurement, support: int = 0,
     ) -> tuple[Estimate, str, Alarm | None]:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
@@ -253,15 +250,13 @@ class Correction:
         Further results are the verdict (`used`, `recovered`, `gate` or `out_of_reach`),
         and an alarm, if any. While a support may be near, deviations do not count.
         """
-        if before.support and not support:
-            before = self.released(before)
         if not measurement.is_pose:
             result, after = self._step(
-                before, track, measurement.stamp_ns, is_recorded, support=support)
+                before, track, measurement.stamp_ns, support=support)
             return after, '', self._differing(after, after.evidence, result.changes)[1]
         stamp_ns = _exposure_ns(before, measurement.stamp_ns)
         result, after = self._step(
-            before, track, stamp_ns, is_recorded, measurement, measured.GATE, support)
+            before, track, stamp_ns, measurement, measured.GATE, support)
         if result.verdict == measured.OUT_OF_REACH:
             return before._replace(
                 evidence=before.evidence._replace(seen=result)), 'out_of_reach', None
@@ -279,14 +274,14 @@ class Correction:
             after = self._restarted(after, before.memory, track, measurement)
         return after, name, alarm
 
-    def met(self, before: Estimate, track: Track, stamp_ns: int, is_recorded: bool) -> Estimate:
+    def met(self, before: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """
         Return an estimate after a stop of the tool, which may put the package on a support.
 
         A support and no support are equally likely; the estimate has the mean and the variance of
         both cases.
         """
-        after = self._step(before, track, stamp_ns, is_recorded, support=before.support)[1]
+        after = self._step(before, track, stamp_ns, support=before.support)[1]
         half = 0.5 * self._put_down(after)
         body, theta = changed_by(after.body, after.theta, half)
         return after._replace(
@@ -386,5 +381,5 @@ class Correction:
         restarted = self._unsure(estimate, np.r_[:STATE, WRENCH_ROWS])._replace(
             theta=theta, memory=memory)
         _, after = self._step(
-            restarted, track, estimate.stamp_ns, True, measurement, math.inf, estimate.support)
+            restarted, track, estimate.stamp_ns, measurement, math.inf, estimate.support)
         return self._renewed(after._replace(memory=memory, away_ns=0))

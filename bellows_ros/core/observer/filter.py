@@ -248,7 +248,7 @@ def _half_of_drive(
 @kernel
 def propagated(
     nominal: ModelTuple, beginning: Moving, T: Array, Q: Array, samples: Samples,
-    is_recorded: bool, until_ns: int, max_step: float, drive: Array, model_error: float,
+    until_ns: int, max_step: float, drive: Array, model_error: float,
 ) -> tuple[State, State]:
     """
     Return tool and package at a later stamp, with transition and noise propagated in place.
@@ -258,11 +258,9 @@ def propagated(
     nominal, beginning : tuple
         Nominal model, and the estimate at the beginning.
     T, Q : ndarray (12, m), (12, 12)
-        Transition and covariance of the noise, updated in place, or T empty.
+        Transition and covariance of the noise, updated in place.
     samples : tuple
-        The tool's samples.
-    is_recorded : bool
-        Whether the package is read from samples that it has passed, or written to new ones.
+        Samples of the tool, with the package as `followed` has written it.
     until_ns : int
         Stamp of the end, ns.
     max_step : float
@@ -277,12 +275,12 @@ def propagated(
     stamps, _, _, bodies, count = samples
     k, max_step = first_after(stamps, now_ns, count), dynamics.stable_step(max_step, theta)
     model, bias = dynamics.with_theta(nominal, theta), dynamics.wrench_bias(theta)
-    follows, is_reset, h, squares = T.shape[0] > 0, True, 0.0, 0.0
+    is_reset, h, squares = True, 0.0, 0.0
     A0, B0 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     A1, B1 = np.zeros((12, 12)), np.zeros((6, T.shape[1]))
     while True:
-        if follows and (is_reset or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
-                now_ns, stamps[k], max_step)):
+        if is_reset or now_ns == until_ns or now_ns != stamps[k - 1] or ends_step(
+                now_ns, stamps[k], max_step):
             dynamics.slopes(nominal, theta, tool, body, A1, B1)
             if not is_reset:
                 t3.add_array(A1, 1.0, A0)
@@ -294,7 +292,7 @@ def propagated(
         if now_ns >= until_ns:
             return tool, body
         first = k
-        while is_recorded and now_ns == stamps[k - 1] and _is_inside_step(
+        while now_ns == stamps[k - 1] and _is_inside_step(
                 stamps, k, until_ns, max_step):
             part = (stamps[k] - now_ns) / NS_PER_S
             h, squares, now_ns, k = h + part, squares + part * part, stamps[k], k + 1
@@ -302,13 +300,11 @@ def propagated(
             body = body_row(bodies[k - 1], body)
         tool, tool_end, later_ns = part_of_motion(samples, k, now_ns, until_ns, tool, max_step)
         part = (later_ns - now_ns) / NS_PER_S
-        if is_recorded and later_ns == stamps[k]:
+        if later_ns == stamps[k]:
             body = body_row(bodies[k], body)
         else:
             body = dynamics.advanced_with_wrench(
                 model, bias, body, tool, tool_end, part, substeps_for(part, max_step))
-            if later_ns == stamps[k]:
-                write_row(bodies[k], body)
         h, squares = h + part, squares + part * (stamps[k] - stamps[k - 1]) / NS_PER_S
         tool, now_ns = tool_end, later_ns
         if now_ns == stamps[k]:
@@ -341,8 +337,8 @@ def correlation_of_view(before: State, after: State, P: Array, T: Array) -> floa
 
 @kernel
 def predicted(
-    model: ModelTuple, estimate: EstimateTuple, samples: Samples, is_recorded: bool, until_ns: int,
-    max_step: float, noise: Noise,
+    model: ModelTuple, estimate: EstimateTuple, samples: Samples, until_ns: int, max_step: float,
+    noise: Noise,
 ) -> tuple[EstimateTuple, Array]:
     """
     Return an estimate at a later stamp, and the gain in covariance (12, 12).
@@ -355,8 +351,7 @@ def predicted(
     model_error, seconds = memory[SHARE] * MODEL_ERROR_TIME**3, (until_ns - now_ns) / NS_PER_S
     correlation, earlier = correlations(memory, seconds), body
     tool, body = propagated(
-        model, (now_ns, tool, body, theta), T, Q, samples, is_recorded, until_ns, max_step, drive,
-        model_error)
+        model, (now_ns, tool, body, theta), T, Q, samples, until_ns, max_step, drive, model_error)
     if is_tag:
         memory = memory.copy()
         memory[SAME] = of_view = correlation_of_view(earlier, body, P, T)
@@ -369,37 +364,32 @@ def predicted(
 
 @entry
 def followed(
-    row: Any, law: LawTuple, theta: Array, body: State, samples: Samples,
-    stamp_ns: int, start: State, end: State, max_step: float, reach: float,
+    row: Any, law: LawTuple, beginning: Moving, samples: Samples, stamp_ns: int, end: State,
+    max_step: float, reach: float,
 ) -> tuple[State, Wrench, bool]:
-    """Store another sample of the tool; return the package there, and `checked_wrench`."""
+    """
+    Write the package at all samples of the tool after the beginning.
+
+    With a stamp (ns), the last sample is first written: a motion of the tool from the beginning to
+    an end. The result has the package at the last sample, and `checked_wrench`.
+    """
+    stamps, starts, ends, bodies, count = samples
+    now_ns, tool, body, theta = beginning
+    if stamp_ns > 0:
+        stamps[count - 1] = stamp_ns
+        write_row(starts[count - 1], tool)
+        write_row(ends[count - 1], end)
+    stamp_ns = stamps[count - 1]
     model, max_step = dynamics.model_at(row, law, theta), dynamics.stable_step(max_step, theta)
-    stamps, starts, ends, bodies, k = samples
-    stamps[k] = stamp_ns
-    write_row(starts[k], start)
-    write_row(ends[k], end)
-    seconds, tool, bias = (stamp_ns - stamps[k - 1]) / NS_PER_S, start, dynamics.wrench_bias(theta)
-    parts = substeps_for(seconds, COVARIANCE_STEPS * max_step)
-    part = seconds / parts
-    for i in range(parts):
-        tool_end = end
-        if i < parts - 1:
-            tool_end = kernels.tool_at(kernels.tool_segment(start, end, seconds), (i + 1) / parts)
+    k, bias = first_after(stamps, now_ns, count), dynamics.wrench_bias(theta)
+    while now_ns < stamp_ns:
+        tool, tool_end, later_ns = part_of_motion(samples, k, now_ns, stamp_ns, tool, max_step)
+        part = (later_ns - now_ns) / NS_PER_S
         body = dynamics.advanced_with_wrench(
             model, bias, body, tool, tool_end, part, substeps_for(part, max_step))
-        tool = tool_end
-    write_row(bodies[k], body)
+        tool, now_ns = tool_end, later_ns
+        if now_ns == stamps[k]:
+            write_row(bodies[k], body)
+            k += 1
     wrench, is_sound = kernels.checked_wrench(model, end, body, reach)
     return body, wrench, is_sound
-
-
-@entry
-def body_at_end(
-    row: Any, law: LawTuple, beginning: Moving, samples: Samples, until_ns: int,
-    max_step: float,
-) -> State:
-    """Return the package of an estimate at a later stamp, and write it into the samples."""
-    none = np.zeros((0, 0))
-    return propagated(
-        kernels.model_of(row, law), beginning, none, none, samples, False, until_ns, max_step,
-        np.zeros((0, 0, 0)), 0.0)[1]

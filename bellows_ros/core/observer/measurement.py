@@ -488,8 +488,8 @@ class Corrected(NamedTuple):
 
 @entry
 def filter_step(
-    row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples, is_recorded: bool,
-    until_ns: int, max_step: float, noise: ekf.Noise, seen: MeasuredPose, is_early: bool,
+    row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples, until_ns: int,
+    max_step: float, noise: ekf.Noise, seen: MeasuredPose, is_early: bool,
     learns: bool,
 ) -> Corrected:
     """
@@ -501,7 +501,7 @@ def filter_step(
     """
     nominal, seconds = kernels.model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     after, gain = ekf.predicted(
-        nominal, estimate, samples, is_recorded, until_ns, max_step, noise)
+        nominal, estimate, samples, until_ns, max_step, noise)
     _, tool, body, theta, P, memory = after
     if seen.gate == 0.0:
         return Corrected(USED, after, body, np.zeros(6), gain[:6, :6].copy(),

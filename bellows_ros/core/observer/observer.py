@@ -279,12 +279,13 @@ class Observer:
         track, correction = self._track, self._correction
         track.discard_before(self._estimates[0].stamp_ns if self._estimates
                              else stamp_ns - MAX_DELAY_NS)
+        track.count += 1
         prediction: tuple[State, Wrench, bool] | None = ekf.followed(
-            correction.row, correction.law, self._theta, self.body, track.samples,
-            stamp_ns, start, end, correction.max_step, correction.reach)
+            correction.row, correction.law, (track.newest_ns, start, self.body, self._theta),
+            track.samples, stamp_ns, end, correction.max_step, correction.reach)
+        track.newest_ns = stamp_ns
         assert prediction is not None
         self.body = prediction[0]
-        track.advance(stamp_ns)
         event = self._support.follow(stamp_ns, end)
         if not self._estimates:
             return prediction
@@ -362,35 +363,38 @@ class Observer:
         for k in range(first, len(measurements)):
             while again and again[0].stamp_ns < measurements[k].stamp_ns:
                 self._raise(again.pop(0))
-            # a package that had left a support was recorded without its wrench
-            is_recorded = k == first and not estimates[k].support
-            if measurements[k].meets_support:
-                estimates.append(self._correction.met(
-                    estimates[k], self._track, measurements[k].stamp_ns, is_recorded))
-                continue
-            support = self._support.at(measurements[k].stamp_ns)
-            before = estimates[k] if support else self.wrenches.corrected(
-                self._correction, estimates[k], self._track, measurements[k].stamp_ns,
-                bool(self.counts['used']))
-            after, verdict, alarm = self._correction.updated(
-                before, self._track, measurements[k], is_recorded and before is estimates[k],
-                support)
-            if k == first and verdict:
-                self.counts[verdict] += 1
-            if verdict == 'recovered':
-                after = after.with_rows(self._known, KNOWN_ROWS)
-            self._note_trouble(after.stamp_ns, verdict, alarm)
-            estimates.append(after)
-            if verdict and self._may_fall(measurements[k].stamp_ns):
-                alarm = None  # the next poses decide between a fall and a deviation
-            self._raise(alarm)
-            if verdict == 'out_of_reach':
-                estimates[-1] = self._out_of_reach(after, measurements[k])
+            self._apply(measurements[k], k > first)
         for alarm in again:
             self._raise(alarm)
         last = self._correction.released(estimates[-1]) if self._has_left else estimates[-1]
         self._predict_from(last)
         self.body = self._correction.body_at_end(last, self._track)
+
+    def _apply(self, measurement: Measurement, is_again: bool) -> None:
+        """Apply a measurement after the last estimate, for the first time or again."""
+        correction, track, stamp_ns = self._correction, self._track, measurement.stamp_ns
+        last = before = self._estimates[-1]
+        if not (support := self._support.at(stamp_ns)):
+            before = correction.released(last) if last.support else last
+            before = self.wrenches.corrected(
+                correction, before, track, stamp_ns, bool(self.counts['used']))
+        if is_again or before is not last or last.support:  # other samples of the package
+            correction.body_at_end(before, track)
+        if measurement.meets_support:
+            self._estimates.append(correction.met(before, track, stamp_ns))
+            return
+        after, verdict, alarm = correction.updated(before, track, measurement, support)
+        if verdict and not is_again:
+            self.counts[verdict] += 1
+        if verdict == 'recovered':
+            after = after.with_rows(self._known, KNOWN_ROWS)
+        self._note_trouble(after.stamp_ns, verdict, alarm)
+        self._estimates.append(after)
+        if verdict and self._may_fall(stamp_ns):
+            alarm = None  # the next poses decide between a fall and a deviation
+        self._raise(alarm)
+        if verdict == 'out_of_reach':
+            self._estimates[-1] = self._out_of_reach(after, measurement)
 
     def on_wrench(self, stamp_ns: int, wrench: Wrench) -> str:
         """Process a wrench (N, N m) of the sensor in its axes; return a rejection."""

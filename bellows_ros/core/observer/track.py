@@ -39,17 +39,13 @@ class Track:
         self.count = 0
         self.add(stamp_ns, tool, tool, body)
 
-    def advance(self, stamp_ns: int) -> None:
-        """Count a sample that was written to the rows."""
-        self.count, self.newest_ns = self.count + 1, stamp_ns
-
     def add(self, stamp_ns: int, start: State, end: State, body: State) -> None:
         """Store a sample of tool and package."""
         stamps, starts, ends, bodies = self.rows
         stamps[self.count] = stamp_ns
         for rows, state in ((starts, start), (ends, end), (bodies, body)):
             write_row(rows[self.count], state)
-        self.advance(stamp_ns)
+        self.count, self.newest_ns = self.count + 1, stamp_ns
 
     @property
     def samples(self) -> Samples:

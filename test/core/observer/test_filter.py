@@ -49,6 +49,13 @@ TAG = (True, 1e-4, 30.0, (0.3, 0.2, -0.7), rotation_matrix(exp_quaternion((0.2, 
 pytestmark = pytest.mark.xdist_group('kernels called from Python')  # compiled by one worker alone
 
 
+def propagated(model, beginning, T, Q, samples, drive):
+    """Propagate to the last sample, with the package that follows the tool written before."""
+    step, last_ns = largest_step(model), samples[0][-1]
+    ekf.followed(model_row(model), law_of(model), beginning, samples, 0, beginning[1], step, 1.0)
+    return ekf.propagated(model, beginning, T, Q, samples, last_ns, step, drive, 0.0)
+
+
 def test_errors_of_a_tag_persist_in_a_view():
     """Keep them at rest for any time with the noise of a robot's poses; not over a centimetre."""
     rng, still = np.random.default_rng(1), tool_motion(np.random.default_rng(1), 0.01)[1][0]
@@ -79,9 +86,8 @@ def test_transition_is_that_by_differences(is_off):
     drive = dynamics.driving(model, start, body, np.repeat([1e-4, 5e-4], 3))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (start, end, end)]
     T, Q = ekf.identity_transition(), np.zeros((12, 12))
-    _, found = ekf.propagated(
-        model, (stamps[250], start, body, theta), T, Q, (stamps[250:252], *rows, 2),
-        False, stamps[251], largest_step(model), drive, 0.0)
+    _, found = propagated(
+        model, (stamps[250], start, body, theta), T, Q, (stamps[250:252], *rows, 2), drive)
     middle = later(body, theta, start, end, h)
     np.testing.assert_allclose(error_of(middle, found), 0.0, atol=2e-6)
     F, memory, step = np.eye(states.ROWS), MEMORY, 1e-4
@@ -122,10 +128,8 @@ def test_transition_of_a_cup_that_is_much_stiffer_is_stable(row):
     rows = [np.array([[*o, *q, *v, *w] for o, q, v, w in states])
             for states in ([tool[0], *tool[:-1]], tool, tool)]
     T = ekf.identity_transition()
-    ekf.propagated(
-        model, (stamps[0], tool[0], body, theta), T, np.zeros((12, 12)),
-        (stamps, *rows, len(stamps)), False, stamps[-1], largest_step(model), NO_DRIVE,
-        0.0)
+    propagated(model, (stamps[0], tool[0], body, theta), T, np.zeros((12, 12)),
+               (stamps, *rows, len(stamps)), NO_DRIVE)
     assert np.abs(np.linalg.eigvals(T[:12, :12])).max() < 1.0
 
 
@@ -157,7 +161,7 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
     def seen(e):
         step = filter_step(
             model_row(model), law_of(model), (0, tool[60], body, none, P.copy(), MEMORY),
-            (np.zeros(1, int), *np.zeros((3, 1, 25)), 1), False, 0, 1.0,
+            (np.zeros(1, int), *np.zeros((3, 1, 25)), 1), 0, 1.0,
             (NO_DRIVE, np.zeros(states.ROWS), False),
             MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, np.inf,
                          NO_MEANS, np.ones(4)),
@@ -195,9 +199,7 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     theta, P = np.zeros(states.ROWS - 12), np.diag(SIZES**2)
     T, Q = ekf.identity_transition(), np.zeros((12, 12))
     rows = [np.array([[*o, *q, *v, *w]] * 2) for o, q, v, w in (tool,) * 3]
-    ekf.propagated(
-        model, (0, tool, body, theta), T, Q, (np.array([0, 1_000_000]), *rows, 2),
-        False, 1_000_000, 1.0, NO_DRIVE, 0.0)
+    propagated(model, (0, tool, body, theta), T, Q, (np.array([0, 1_000_000]), *rows, 2), NO_DRIVE)
     seen = [(noise, *with_noise(rng, body, NOISE_STD * np.sqrt(noise))[:2])
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     walk = np.full(states.ROWS, 1e-12)
