@@ -165,12 +165,6 @@ def predictor_kernels():
 
 
 @pytest.fixture(scope='session')
-def plan_kernels():
-    """Compile plans."""
-    compiled('plans')
-
-
-@pytest.fixture(scope='session')
 def observer_kernels():
     """Compile the observer."""
     compiled('observer')

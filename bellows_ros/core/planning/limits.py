@@ -54,10 +54,6 @@ class Limits(NamedTuple):
     """Largest acceleration of each joint, rad/s^2 or m/s^2; speeds are in the URDF."""
 
 
-NO_LIMITS = Limits(
-    dict.fromkeys(RATES, NO_LIMIT), np.full(3, -NO_LIMIT), np.full(3, NO_LIMIT), 0.0)
-
-
 def read_limits(content: object) -> Limits:
     """
     Return the limits in the content of a YAML file, explained in config/limits_example.yaml.

@@ -9,8 +9,8 @@ from bellows_ros.core.planning.limits import (
     demands,
     fastest,
     first_allowed,
-    NO_LIMITS,
     RATES,
+    read_limits,
     used_parts,
 )
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
@@ -32,6 +32,7 @@ VALUES = VALUES.replaced({
 EXACT = VALUES.replaced({
     name: np.zeros_like(value) for name, value in VALUES.items() if name.endswith('_std')})
 PLAN = Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.9], 0.8).plan()
+NO_LIMITS = read_limits({})
 
 
 def test_demands_are_those_of_the_quintic():
