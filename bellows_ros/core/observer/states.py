@@ -48,6 +48,10 @@ UNSTATED_MASS = 0.02
 UNSTATED_COM = 2e-3
 """Standard deviation of the centre of mass, if not stated, m."""
 
+ZERO_DRIFT = (0.02, 1e-3)
+"""Random walk of the zero of a force-torque sensor in 1 s, N and N m: between a laboratory sensor
+(0.01, 0.0005) and one in a wrist (0.05, 0.003)."""
+
 BIAS_SHARE = 0.01
 """Initial wrench bias, relative to the effect of the default payload uncertainty."""
 
@@ -236,7 +240,7 @@ def stated_by(values: Values, model: ModelTuple) -> Stated:
         mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
         relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
         camera, values.measured.latency[1], np.repeat(values.wrench.bias_std, 3),
-        np.repeat(values.wrench.drift, 3), GAIN_STD)
+        np.repeat(ZERO_DRIFT, 3), GAIN_STD)
 
 
 def _of_moments(inertia: Array, std: Array) -> Array:

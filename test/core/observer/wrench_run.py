@@ -86,7 +86,7 @@ def simulated(
     mass, at, inertia = wrench_cell.numbers_of(masses, places)
     return Run(stamps, tool, body, readings, {
         'wrench.frame': '0 0 0.1 0 0 0 1', 'wrench.noise': list(kind['noise']),
-        'wrench.drift': list(kind['drift']), 'wrench.delay': kind['delay'],
+        'wrench.delay': kind['delay'],
         'gripper.mass': float(mass), 'gripper.com': at.tolist(),
         'gripper.inertia': inertia.tolist(),
         'package.mass': PACKAGE.mass, 'package.com': list(PACKAGE.com),
