@@ -208,7 +208,7 @@ class Attachment:
     def __init__(self, pipeline: Predicting) -> None:
         """Offer the services, and subscribe to the vacuum if configured."""
         self._pipeline, node = pipeline, pipeline.node
-        self._kind = pipeline.values.vacuum.signal
+        self._kind = pipeline.live.values.vacuum.signal
         for service, held, words in (
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
@@ -288,11 +288,11 @@ class PackageInput:
         """Subscribe; nothing changes before the first message."""
         self._pipeline, node = pipeline, pipeline.node
         self._live = pipeline.live
-        kind = pipeline.values.measured.type
+        kind = pipeline.live.values.measured.type
         self._with_covariance, self._published_ns = kind in ('pose_with_covariance', 'odometry'), 0
         self._compiling, self._reported = Once(node, pipeline.compile_filter), 0
         self._tag, self._no_view = TagCamera(), Counter[str]()
-        self._child_frame = pipeline.values.measured.child_frame.lstrip('/')
+        self._child_frame = pipeline.live.values.measured.child_frame.lstrip('/')
         topic, most, use = {
             'tf': ('/tf', math.inf, self._on_transforms),
             'detections': (MEASURED, MAX_VIEWS, self._on_detections),
@@ -378,14 +378,14 @@ class PackageInput:
     def _on_camera_info(self, message: CameraInfo) -> None:
         """Note the calibration of a camera."""
         try:
-            self._tag.calibrate(message, self._pipeline.values.measured.rectified)
+            self._tag.calibrate(message, self._pipeline.live.values.measured.rectified)
         except BellowsError as error:
             self._pipeline.node.get_logger().error(str(error), throttle_duration_sec=30.0)
 
     def _on_detections(self, data: bytes) -> None:
         """Correct the prediction by the corners of a tag, in its camera."""
         message = deserialize_message(data, self._type)
-        given, stamp_ns = self._pipeline.values.measured, stamp_to_ns(message.header.stamp)
+        given, stamp_ns = self._pipeline.live.values.measured, stamp_to_ns(message.header.stamp)
         seen = self._tag.pose(message, given.tag_size, given.child_frame)
         if not isinstance(seen, str):
             position, rotation = seen

@@ -50,38 +50,20 @@ class Predicting:
 
     node: ManagedNode
     live: LivePredictor
-
-    @property
-    def values(self) -> Values:
-        """Parameters in use: with the chosen cup, without cups of a gripper that do not hold."""
-        return self.live.values
+    publish: Callable[..., None]
+    """Function that publishes the predictions of a step, even if other outputs fail."""
+    change: Callable[..., Any]
+    """Function that returns the result of a step, and reports a change of the state."""
+    compile_filter: Callable[[], None]
+    """Function that compiles the filter of covariances and measured poses, in a thread."""
+    compile_landing: Callable[[], None]
+    """Function that compiles the landing of a released package, in a thread."""
 
     @property
     def load(self) -> vacuum.Load:
         """Safety factor of the grip, and distance from the validity range."""
         assert self.live.load
         return self.live.load
-
-    @property
-    def latest(self) -> Prediction | None:
-        """Newest prediction of a held package."""
-        return self.live.latest
-
-    def compile_filter(self) -> None:
-        """Compile the filter of covariances and measured poses, in a thread."""
-        raise NotImplementedError
-
-    def compile_landing(self) -> None:
-        """Compile the landing of a released package, in a thread."""
-        raise NotImplementedError
-
-    def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
-        """Publish the predictions of a step, even if other outputs fail."""
-        raise NotImplementedError
-
-    def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the result of a step that may change the package's state; report a change."""
-        raise NotImplementedError
 
 
 class Topic:
@@ -181,7 +163,7 @@ class Outputs:
             Odometry, 'package/odometry', self._make_odometry, prepare=shared.compile_filter)
         self._deflection = Topic(geometry.PoseStamped, 'cup/deflection', self._make_deflection)
         self._markers = Topic(MarkerArray, 'package/markers', lambda now: markers(
-            shared.values, shared.live.frame_id, shared.live.model, now))
+            shared.live.values, shared.live.frame_id, shared.live.model, now))
         self.landing = Topic(geometry.PoseWithCovarianceStamped, 'package/landing',
                              prepare=shared.compile_landing)
         self._state = Topic(String, 'package/state', qos=LATCHED)

@@ -168,11 +168,11 @@ class Pipeline(Predicting):
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
         """Publish the predictions of a step, even if other outputs fail."""
-        was_predicting, before = self.latest is not None, self.live.state
+        was_predicting, before = self.live.latest is not None, self.live.state
         for prediction in self.advance(step, *arguments):
             self.outputs.publish(prediction)
             self._publish_secondary_guarded(prediction)
-        if self.latest and not was_predicting:  # a tick may be too late to see it
+        if self.live.latest and not was_predicting:  # a tick may be too late to see it
             self.publish_state()
         if self.live.state != before:
             self.report(before)
@@ -197,7 +197,7 @@ class Pipeline(Predicting):
         stamp_ns, newest_ns = self.node.get_clock().now().nanoseconds, self.live.newest_ns
         if abs(stamp_ns - newest_ns) > OTHER_CLOCK_NS:
             stamp_ns = newest_ns
-        held, grip, before = self.latest, self.load.grip, self.live.state
+        held, grip, before = self.live.latest, self.load.grip, self.live.state
         topic, covariance = self.outputs.landing, None
         if held and topic.subscribed and topic.is_ready:
             covariance = self.live.covariance(held.stamp_ns)
@@ -211,14 +211,14 @@ class Pipeline(Predicting):
     ) -> None:
         """Publish the landing of a released package, in a thread."""
         found = landing.landing(
-            self.values, self.live.model, grip, held, covariance, switched_ns)
+            self.live.values, self.live.model, grip, held, covariance, switched_ns)
         if found:
             self.outputs.publish_landing(found)
 
     def compile_landing(self) -> None:
         """Compile the landing, in a thread; it needs package.size."""
         self.compile_filter()
-        landing.warm_up(self.values, self.live.model)
+        landing.warm_up(self.live.values, self.live.model)
 
     def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
         """Return the result of a step that may change the package's state; report a change."""
@@ -252,7 +252,7 @@ class Pipeline(Predicting):
         self._arrival_at_last_tick = arrivals.newest_ns
         self.report(live.state)
         self.publish_state()
-        if held := self.latest:
+        if held := self.live.latest:
             self.load.watch_deflection(live.model, held)
 
     def publish_state(self) -> None:
@@ -290,7 +290,7 @@ class Pipeline(Predicting):
             self.node.get_logger().info('Compiling the observer; its topics wait for it.')
             self.compiler.wait()
         self._needs_filter = True
-        warm_up_observer(self.values, self.live.model)
+        warm_up_observer(self.live.values, self.live.model)
         gc.freeze()  # as `spin` does: the compiler's garbage is never scanned again
 
     def _compile(self, values: Values) -> None:

@@ -129,7 +129,7 @@ class Planning:
 
     def _publish(self, plan: Plan, tool: Trajectory, prediction: PlanPrediction) -> None:
         """Publish the package along a plan."""
-        values, states = self._pipeline.values, prediction.states
+        values, states = self._pipeline.live.values, prediction.states
         frame = self._pipeline.live.frame_id or plan.frame_id
         motion = Trajectory(tool.stamps_ns, states[:, :3], quaternion_to_rotation(states[:, 3:7]),
                             states[:, 7:])
@@ -143,7 +143,7 @@ class Planning:
     @property
     def status(self) -> Status | None:
         """The line of the diagnostics on the plan, if there was one."""
-        outcome, values = self._outcome, self._pipeline.values
+        outcome, values = self._outcome, self._pipeline.live.values
         if outcome is None or isinstance(outcome, Status):
             return outcome
         safety, outside = outcome.smallest_safety, outcome.outside(
@@ -164,7 +164,7 @@ class Planning:
 
     def _of_tool(self, data: bytes) -> tuple[Plan, Trajectory, None]:
         """Return a plan of the tool, and its motion of E."""
-        values = self._pipeline.values
+        values = self._pipeline.live.values
         message, = plans.plans_of(messages.decoded(data, plans.MULTI_DOF))
         self._require_frame(message.frame_id)
         self._pipeline.node.note_frame(
@@ -177,7 +177,7 @@ class Planning:
 
     def _of_joints(self, data: bytes) -> tuple[Plan, Trajectory, Joints]:
         """Return a plan of joints, the motion of E by it, and its joints."""
-        values = self._pipeline.values
+        values = self._pipeline.live.values
         if not (self._urdf and values.tool_link):
             what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
             raise BellowsError(
@@ -190,7 +190,7 @@ class Planning:
 
     def _require_frame(self, frame_id: str) -> None:
         """Raise for a plan in another frame than the tool's poses."""
-        plans.require_frame(frame_id, self._pipeline.values)
+        plans.require_frame(frame_id, self._pipeline.live.values)
         frame = self._pipeline.live.frame_id
         if not same_frame(frame, frame_id):
             raise BellowsError(
@@ -205,7 +205,7 @@ class Planning:
             raise BellowsError(
                 f'It takes {plan.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
                 'Split the motion, or use bellows plan --steer.')
-        method = self._pipeline.values.steer.method
+        method = self._pipeline.live.values.steer.method
         found = steer(self._pipeline.live.model, plan, method)
         if found.method != method:
             self._pipeline.node.get_logger().warning(
@@ -215,7 +215,7 @@ class Planning:
 
     def _steer_tool(self, plan: Plan, tool: Trajectory) -> None:
         """Publish a motion of the tool without swing."""
-        values = self._pipeline.values
+        values = self._pipeline.live.values
         self._steered.publish(plans.encode(plans.plan_of_motion(
             from_tip(self._steer(tool), tip_of(values)), plan.stamp_ns, plan.frame_id, 'tool',
             values.tool_twist.frame)))

@@ -197,7 +197,7 @@ class PredictorNode(ManagedNode):
 
     def _log_model(self, pipeline: Pipeline) -> None:
         """Log the cup and the package in use."""
-        log, values = self.get_logger().info, pipeline.values
+        log, values = self.get_logger().info, pipeline.live.values
         if thesis := sorted({*CUP} - self.overridden):
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
