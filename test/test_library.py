@@ -141,7 +141,6 @@ def test_arguments_that_are_wrong_are_named(root, monkeypatch, call, named):
 @pytest.mark.parametrize(('call', 'asked'), [
     (lambda: bellows_ros.Package(1800.0, 5.0 * np.eye(3), (0.0, 0.0, -0.03)), 'mass is 1800 kg'),
     (lambda: bellows_ros.Package(1.8, 5.0 * np.eye(3), (0.0, 0.0, -0.03)), r'in (g|kg)'),
-    (lambda: bellows_ros.Package(1.8, 1e-6 * np.eye(3), (0.0, 0.0, -0.03)), 'ball of lead'),
     (lambda: bellows_ros.Package(1.8, 0.01 * np.eye(3), (0.0, 0.0, 0.03)), 'Is it -0.03'),
     (lambda: bellows_ros.box_inertia(1.8, 200.0, 160.0, 60.0), 'radius of gyration of 1'),
     (lambda: bellows_ros.box_inertia(1800.0, 0.2, 0.16, 0.06), 'mass is 1800 kg')])
