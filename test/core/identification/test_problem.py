@@ -1,4 +1,4 @@
-"""Own unknowns of recordings are eliminated one recording at a time, as a dense solve would."""
+"""Own unknowns of recordings are eliminated as by a dense solve; sums have one order."""
 
 from dataclasses import replace
 
@@ -6,8 +6,9 @@ from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.causes import significant
 from bellows_ros.core.identification.estimate import minimise
 from bellows_ros.core.identification.result import Arrow
-from bellows_ros.core.identification.segments import Segment
+from bellows_ros.core.identification.segments import here, Segment
 from bellows_ros.core.identification.unknowns import Problem, weak_prior
+from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -58,3 +59,29 @@ def in_another_world(each):
     return replace(each, package=replace(
         poses, position=poses.position + [2e-3, 0.0, 0.0],
         rotation=exp_so3(np.array([0.0, 0.0, 5e-3])) @ poses.rotation))
+
+
+def longer(values, more):
+    """Return a longer value, and its sum."""
+    return [*values, more], sum(values) + more
+
+
+def test_a_part_of_a_value_is_kept_and_the_other_one_returned():
+    values = here([[1], [2], [3]])
+    for more in (10, 20):
+        values, sums = values.pool.hold(longer, values, more)
+    assert values.pool.results(list, values) == [[1, 10, 20], [2, 10, 20], [3, 10, 20]]
+    assert sums == [31, 32, 33]
+    assert values.pool.results(sum, values.only([2])) == [33]
+
+
+def test_the_first_error_of_recordings_is_raised():
+    values = here([2, 0, 1])
+    with pytest.raises(BellowsError, match='of 0'):
+        values.pool.results(refused, values)
+
+
+def refused(number):
+    """Refuse small numbers."""
+    if number < 2:
+        raise BellowsError(f'of {number}')
