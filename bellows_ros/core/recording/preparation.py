@@ -37,6 +37,9 @@ AUTOMATIC_HALF_WINDOW = 1 / 12
 """Default half window of the filter, s. With order 6 the filter reduces K and P of a cup shaken at
 3 Hz by less than 0.1 %, with the most averaging of noise at that error."""
 
+MAX_REPEATED = 0.05
+"""Largest ratio of poses with repeated stamps to others that adds no noise in motion."""
+
 MAX_LATERAL_OFFSET = 5e-3
 """Largest lateral offset of the lip at rest without a warning, m: a tenth of a cup's length."""
 
@@ -259,11 +262,10 @@ def remarks_on(report: StreamReport) -> list[Finding]:
         return [Finding('jitter', Level.ERROR, jitter, topic), *remarks]
     return remarks + [Finding(code, Level.WARN, numbers, topic) for is_due, code, numbers in (
         (time.rate_hz < LOW_RATE_HZ, 'low_rate', {'rate': time.rate_hz, 'least': LOW_RATE_HZ}),
-        (report.stamp_resolution > 0.0, 'quantised', {
-            'tick': report.stamp_resolution, 'repeated': report.repeated_stamps,
+        (report.repeated_stamps > MAX_REPEATED * len(recorded), 'quantised', {
+            'tick': 1.0 / time.rate_hz, 'repeated': report.repeated_stamps,
             'poses': len(recorded) + report.repeated_stamps}),
-        (not report.stamp_resolution and (
-            time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER), 'jitter', jitter))
+        (time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER, 'jitter', jitter))
         if is_due]
 
 

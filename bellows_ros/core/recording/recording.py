@@ -166,13 +166,6 @@ def _clipped(residuals: Array) -> Array:
     return np.clip(residuals, -limit, limit)
 
 
-def rms_twist(body: Trajectory) -> Array:
-    """Return the RMS (6,) of a filtered body's twist, m/s and rad/s."""
-    assert body.twist is not None
-    twist = body.twist[body.valid]
-    return np.asarray(np.sqrt(np.mean(twist**2, axis=0))) if len(twist) else np.zeros(6)
-
-
 def noise_of(poses: Trajectory) -> Noise:
     """
     Estimate the white noise of poses at a uniform rate.
@@ -355,25 +348,10 @@ class StreamReport:
     interpolated: int = 0
     arrival_jitter: float = 0.0
 
-    @cached_property
+    @property
     def repeated_stamps(self) -> int:
         """Number of messages omitted because of repeated stamps."""
         return len(self.recorded.refused.get('duplicate_stamp', ()))
-
-    @cached_property
-    def stamp_resolution(self) -> float:
-        """Resolution of rounded or repeated stamps, s; 0 if they are fine enough."""
-        count, stamps_ns = len(self.recorded), self.recorded.stamps_ns
-        if self.repeated_stamps > 0.05 * count:  # fewer add no noise in motion
-            return float(np.median(np.diff(stamps_ns))) / trajectory.NS_PER_S
-        return resampling.resolution(stamps_ns)
-
-    @property
-    def stamp_std(self) -> float:
-        """Standard deviation of rounded stamps, s; for repeated stamps the first pose is used."""
-        count = len(self.recorded)
-        part = count / (count + self.repeated_stamps)
-        return float(part * self.stamp_resolution / np.sqrt(12.0))
 
     @property
     def marked(self) -> int:
@@ -387,7 +365,6 @@ class StreamReport:
             'rate_hz': self.timing.rate_hz,
             'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
-            'stamp_resolution_s': self.stamp_resolution,
             'arrival_stamps_replaced': len(self.recorded) * (self.arrival_jitter > 0.0),
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
@@ -654,13 +631,7 @@ class Recording:
             still = self._still(self.tracked_package)
             if len(still) >= MIN_SAMPLES_AT_REST:
                 of_package = noise_at_rest(still)
-        reports = self.report.tool, self.report.package
-        tool, package = (
-            noise._replace(std=np.maximum(
-                noise.std, report.stamp_std * rms_twist(getattr(self, body))))
-            if report.stamp_std else noise for noise, report, body in zip(
-                (of_tool, of_package), reports, ('tool', 'package'), strict=True))
-        return tool, package
+        return of_tool, of_package
 
     @cached_property
     def views(self) -> TagViews | None:

@@ -135,32 +135,6 @@ def timing(stamps_ns: Stamps) -> Timing:
         Gap(int(stamps_ns[i]), float(steps[i] / NS_PER_S)) for i in long))
 
 
-def resolution(stamps_ns: Stamps) -> float:
-    """
-    Return the resolution of rounded stamps of a uniform rate, s; 0 if it is fine enough.
-
-    Rounded stamps have few different steps, which are multiples of the resolution, and stay close
-    to a line. Lost samples cause fewer unusual steps, or larger deviations from the line.
-    """
-    n, equal_us = 100, 5.0  # steps in a window; difference of equal steps, us
-    steps = np.diff(stamps_ns[:4000]) / 1e3  # us
-    if len(steps) < 2 * n:
-        return 0.0
-    sizes = np.unique(np.rint(steps))
-    sizes = sizes[np.diff(sizes, prepend=-np.inf) > equal_us]
-    if not 2 <= len(sizes) <= 30:
-        return 0.0
-    tick = float(np.min(np.diff(sizes)))
-    is_multiple = np.abs(steps / tick - np.rint(steps / tick)) < 0.02
-    if tick < MAX_RELATIVE_JITTER * np.median(steps) or np.mean(~is_multiple) > 0.02:
-        return 0.0
-    parts = steps[:len(steps) // n * n].reshape(-1, n)
-    off_line = np.cumsum(parts - parts.mean(axis=1, keepdims=True), axis=1)
-    changes = np.abs(parts - np.median(parts, axis=1, keepdims=True)) > equal_us
-    rounded = (np.count_nonzero(changes, axis=1) >= 5) & (np.ptp(off_line, axis=1) < 1.3 * tick)
-    return 1e-6 * tick if 2 * np.count_nonzero(rounded) > len(parts) else 0.0
-
-
 def clock_steps(stamps_ns: Stamps, arrivals_ns: Stamps) -> tuple[tuple[int, float], ...]:
     """
     Return the steps of the stamping clock: the stamp before each step (ns), and its size (s).

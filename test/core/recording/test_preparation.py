@@ -227,30 +227,13 @@ def test_a_step_as_a_slow_camera_sees_many_is_of_the_motion(rate_hz, size, warne
     assert any(remark.code == 'slip' for remark in remarks) is warned
 
 
-@pytest.mark.parametrize(('rate_hz', 'clock_hz', 'code'), [
-    (360, 200, 'quantised'), (480, 48, 'quantised'), (360, 10**9, '')])
-def test_stamps_of_a_slow_clock_are_counted_and_are_noise_in_motion(rate_hz, clock_hz, code):
-    tool, package = held(71, rate_hz=rate_hz)
-    first = tool.stamps_ns[0]
-
-    def rounded(body, name):
-        stamps = first + (body.stamps_ns - first) * clock_hz // 10**9 * 10**9 // clock_hz
-        stamps, kept = np.unique(stamps, return_index=True)
-        lost = tuple(sorted(set(range(len(body))) - set(kept.tolist())))
-        return PoseStream(name, 'world', stamps, body.position[kept], body.rotation[kept],
-                          {'duplicate_stamp': lost} if lost else {})
-
-    recording = prepare(rounded(tool, '/tool'), rounded(package, '/package'), PrepareSettings())
-    said = [each for each in recording.report.remarks if each.code == 'quantised']
-    assert [each.topic for each in said] == (['/tool', '/package'] if code else [])
-    if not code:
-        return
-    repeated = len(tool) - len(recording.tool_pose)
-    assert said[0].numbers == {'poses': len(tool), 'repeated': repeated,
-                               'tick': pytest.approx(1.0 / clock_hz, rel=1e-3)}
-    moving = recording.tool.twist[recording.tool.valid]
-    expected = np.sqrt(np.mean(moving**2, axis=0) / 12.0) / max(clock_hz, rate_hz)
-    assert np.all(recording.body_noise[0].std > 0.8 * expected)
+def test_stamps_of_a_slow_clock_are_counted():
+    tool, package = held(71)
+    kept = np.flatnonzero(np.arange(len(tool)) % 9 % 2 == 0)
+    lost = tuple(sorted({*range(len(tool))} - {*kept.tolist()}))
+    slow = replace(stream(tool, '/tool', kept), refused={'duplicate_stamp': lost})
+    said = prepare(slow, stream(package, '/package'), PLAIN).report.remarks
+    assert said[0].code == 'quantised' and said[0].numbers['repeated'] == len(lost)
 
 
 def test_unusable_recordings_get_a_reason():
