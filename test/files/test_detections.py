@@ -1,10 +1,6 @@
 """Corners of tags that apriltag_ros records, through the lens of the camera."""
 
 from bellows_ros.core.sensors.camera import (
-    directions,
-    MAX_KEPT,
-    poses_of_corners,
-    RECENT,
     TagCamera,
 )
 from bellows_ros.errors import BellowsError
@@ -128,18 +124,6 @@ def test_corners_of_a_rectified_image_have_no_distortion(tmp_path, K, rectified,
     assert_allclose(found.corners, true, atol=1e-12)
 
 
-def test_noisy_corners_give_the_pose_of_least_squares_or_its_second_solution():
-    """Compare with the errors of corners that the true pose leaves."""
-    position, rotation, true = views(1)
-    noise = 1e-4 * np.random.default_rng(2).normal(size=true.shape)
-    o, R = poses_of_corners(true + noise, SIDE)
-    points = 0.5 * SIDE * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-    places = o[:, None] + points @ np.swapaxes(R, 1, 2)
-    left = true + noise - places[..., :2] / places[..., 2:]
-    assert np.all(np.sum(left**2, (1, 2)) <= 1.0001 * np.sum(noise**2, (1, 2)))
-    assert_allclose(o, position, atol=0.05)
-
-
 def refusal(path, tag=TAG):
     """Return the reason for which a recording has no poses of a tag."""
     return str(read_contents(path, {'package_pose': '/detections'}, tag).problems['package_pose'])
@@ -214,11 +198,6 @@ def test_of_two_calibrations_the_one_of_the_size_of_the_image_is_used(tmp_path):
     assert_allclose(read_views(path, 'detections').corners, true, atol=1e-12)
 
 
-def test_a_camera_without_calibration_is_refused():
-    with pytest.raises(BellowsError, match='not calibrated'):
-        directions(np.zeros((1, 2)), np.zeros(9), 'plumb_bob', np.zeros(5))
-
-
 def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     """One message at a time; without a pose, with the reason."""
     pixels = np.apply_along_axis(pixel, -1, views()[2], LENSES['plumb_bob'])
@@ -243,27 +222,6 @@ def test_a_live_camera_shows_what_the_reader_of_recordings_reads(tmp_path):
     assert_allclose(live.pose(both, SIDE, '36h11:7')[0], position[0])
     with pytest.raises(BellowsError, match='fisheye'):
         live.calibrate(calibration('fisheye', (0.1,)), is_rectified=False)
-
-
-@pytest.mark.parametrize(('model', 'coefficients'), [
-    ('', ()), ('plumb_bob', LENSES['plumb_bob']), ('plumb_bob', (np.nan,) * 5),
-    ('rational_polynomial', (1e9,) * 8)])
-@pytest.mark.filterwarnings('error::RuntimeWarning')
-def test_hostile_corners_and_cameras_neither_raise_nor_grow(model, coefficients):
-    """Corners of any size, infinite or NaN, and each message with another frame and tag."""
-    rng, camera = np.random.default_rng(4), TagCamera()
-    info = calibration(model, coefficients)
-    square = np.array([[300.0, 200], [350, 200], [350, 250], [300, 250]])
-    for trial in range(500):
-        info.header.frame_id = f'camera {trial}'
-        camera.calibrate(info, False)
-        corners = square + 10.0**rng.uniform(-3, 307) * rng.standard_normal((4, 2))
-        corners[trial % 4] *= (1.0, np.inf, np.nan)[trial % 3]
-        array = detections(corners[None], (trial,))[0]
-        array.header.frame_id = info.header.frame_id
-        seen = camera.pose(array, SIDE, f'36h11:{trial}')
-        assert seen == 'tag_no_pose' or np.isfinite(seen[0]).all()
-    assert len(camera._views) <= RECENT and len(camera._cameras) <= MAX_KEPT
 
 
 def test_a_tag_on_tf_is_read_in_the_frame_of_its_camera(tmp_path):

@@ -167,32 +167,6 @@ def test_what_is_no_yaml_is_refused(tmp_path, data, figure):
     assert time.process_time() - begin < PATIENCE
 
 
-def test_a_long_message_is_read_at_some_megabytes_a_second(tmp_path):
-    """A plan, as it is printed; its length is not bounded."""
-    point = '- positions:\n' + '  - 0.12345678901\n' * 6 + (
-        '  time_from_start:\n    sec: 1\n    nanosec: 2000000\n')
-    count = 2_000_000 // len(point)
-    begin = time.process_time()
-    loaded = load(tmp_path / 'a', 'points:\n' + point * count + '---\n')
-    assert time.process_time() - begin < PATIENCE
-    assert len(loaded['points']) == count
-    assert loaded['points'][-1] == {
-        'positions': [0.12345678901] * 6, 'time_from_start': {'sec': 1, 'nanosec': 2000000}}
-
-
-def test_a_megabyte_that_looks_like_one_number_is_a_text(tmp_path):
-    """Digits with colons are a number to the base of 60 in YAML 1.1, computed for minutes."""
-    begin = time.process_time()
-    assert load(tmp_path / 'a', 'x: 1' + ':1' * (2**19 - 9))['x'].startswith('1:1')
-    assert time.process_time() - begin < PATIENCE
-
-
-def test_what_is_no_file_is_refused(tmp_path):
-    for path in (tmp_path, tmp_path / 'none', '/dev/zero'):
-        with pytest.raises(BellowsError, match=f"'{path}'"):
-            safe_yaml.load(type(tmp_path)(path))
-
-
 def test_lines_lead_to_each_key(tmp_path):
     (tmp_path / 'a').write_text('# comment\na:\n  b: 1\n  c: {d: 2}\n"e f": [1]\n')
     content = safe_yaml.load(tmp_path / 'a')

@@ -203,13 +203,6 @@ def landed():
     partner.send(START + sent * STEP_NS)
     return landings and pipeline.live.state == 'released'
 partner.wait(landed)
-from bellows_ros.core.signals import transforms
-chain = transforms.Chain('world', 'tool')
-for k in range(4):
-    for parent, child in (('world', 'base'), ('base', 'arm'), ('arm', 'tool'))[k % 2:]:
-        chain.add(parent, child, transforms.PoseSample(
-            10 * k + 3 * len(child), (0.1 * k, 0.0, 1.0), (0.0, 0.0, 0.6, 0.8)), child == 'arm')
-assert list(chain.due())
 found['answered'] = list(map(len, answered))
 print(json.dumps({**found, 'needed': needed_later + needed}))
 """

@@ -61,12 +61,6 @@ def residual_swing(times_ns, poses, twists=None):
     return float(np.degrees(PlanSimulation(MODEL, None, tool).predict().summary()['swing_left']))
 
 
-def in_frame(poses, T):
-    """Return poses of a frame that lies in theirs."""
-    moved = lie.transform(lie.quaternion_to_rotation(poses[:, 3:]), poses[:, :3]) @ T
-    return np.hstack([moved[:, :3, 3], lie.rotation_to_quaternion(moved[:, :3, :3])])
-
-
 class Planner:
     """A partner that also sends plans and keeps the answers."""
 
@@ -129,23 +123,6 @@ def test_a_plan_is_answered_from_rest_and_steered(planner):
     planner.wait(lambda: len(planner.plans) == 2)
     status = planner.status()
     assert status.level == 2 and 'The cup lets go' in status.message and 'peel' in status.message
-
-
-def test_plans_of_a_flange_are_predicted_and_steered_in_it(make_partner):
-    """With E turned and beside the frame that poses, plans and answers are of."""
-    T_flange_E = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x
-    T_flange_E[:3, 3] = 0.02, -0.03, 0.1
-    planner = Planner(make_partner(
-        VALUES.replaced({'tool_pose.offset': '0.02 -0.03 0.1 1 0 0 0'})))
-    plan = message()
-    of_flange = message(rates=None, points=in_frame(plan.points, np.linalg.inv(T_flange_E)))
-    truth = PlanSimulation(MODEL, GRIP, MOVE.plan(500)).predict()
-    planner.send(of_flange)
-    planner.wait(lambda: planner.plans and planner.steered)
-    assert_allclose(planner.plans[0].points[:, :3], truth.states[:, :3], atol=2e-6)
-    poses = in_frame(planner.steered[0].points, T_flange_E)
-    assert_allclose(poses[0], plan.points[0], atol=1e-6)
-    assert residual_swing(planner.steered[0].times_ns, poses) < 0.1
 
 
 def test_a_plan_of_joints_is_answered_and_steered_in_them(planner):
