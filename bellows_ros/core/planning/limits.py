@@ -27,15 +27,13 @@ MAX_STRETCH = 20.0
 """Largest factor on the time of a plan within limits: arms run at 5 % of their speed or more."""
 STRETCH_STEP = 1.02
 """Ratio of neighbouring factors in the scan: a swing of 1 s that cancels is seen to 20 ms."""
-STRETCH_RESOLUTION = 1.001
-"""Resolution of the factor on the time, as a ratio: 1 ms in a motion of 1 s."""
 
 SCAN_START, SCAN_END = 0.02, 10.0
 """Smallest and largest time scale of a plan in the scan for a safe grip."""
 SCAN_STEP = 1.006
 """Ratio of neighbouring time scales in the scan, which changes the safety factor by about 1 %."""
 TOLERANCE = 1.0001
-"""Resolution of the shortest safe time scale, as a ratio: the accuracy of the integration."""
+"""Resolution of a time scale, as a ratio: the accuracy of the integration."""
 
 NO_LIMIT = 1e12
 """Placeholder for no limit."""
@@ -116,7 +114,6 @@ def used_parts(limits: Limits, tool: Trajectory, safety_factor: float) -> dict[s
 def first_allowed(
     limit_at: Callable[[float], str],
     scales: tuple[float, float, float] = (1.0, MAX_STRETCH, STRETCH_STEP),
-    resolution: float = STRETCH_RESOLUTION,
 ) -> tuple[float, str]:
     """
     Return the first time scale within limits, and the limit of faster motions.
@@ -130,8 +127,6 @@ def first_allowed(
         Function of a time scale that returns the exceeded limit, '' if none.
     scales : (float, float, float)
         Smallest and largest time scale, and ratio of neighbouring ones.
-    resolution : float
-        Resolution of the result, as a ratio.
 
     Raises
     ------
@@ -147,7 +142,7 @@ def first_allowed(
                 f'The motion exceeds the limit {found} even at {end:g} times its duration. Check '
                 'the limits.')
         below, limit, scale = scale, found, min(scale * step, end)
-    while scale > resolution * below:
+    while scale > TOLERANCE * below:
         middle = math.sqrt(scale * below)
         found = limit_at(middle)
         below, scale, limit = (middle, scale, found) if found else (below, middle, limit)
@@ -209,7 +204,7 @@ def fastest(
     speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
     try:
         scale, _ = first_allowed(
-            limit_at, (max(SCAN_START, speed / MAX_TOOL_SPEED), SCAN_END, SCAN_STEP), TOLERANCE)
+            limit_at, (max(SCAN_START, speed / MAX_TOOL_SPEED), SCAN_END, SCAN_STEP))
     except BellowsError:
         return None
     factor, slower, faster = (run.safety(scale * ratio) for ratio in (1.0, 1.01, 0.99))
