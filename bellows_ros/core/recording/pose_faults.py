@@ -27,8 +27,6 @@ from bellows_ros.core.signals.trajectory import (
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
-from . import conventions
-from .conventions import Bodies
 from .recording import ripple, ripple_part
 
 SAMPLES = 300
@@ -118,6 +116,37 @@ MIN_TWISTS = 10
 NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
 """Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
 
+MAX_MOTION = 20.0
+"""Largest motion of a body, m: a larger one is in millimetres."""
+
+MIN_REACH = 1e-3
+"""Smallest distance of a package on a cup from the tool, m; nearer ones are of one body."""
+
+MAX_REACH = 0.5
+"""Largest distance of a package on a cup from the tool, m: a long cup and half a box."""
+
+MAX_CHANGE = 0.25
+"""Largest relative variation of this distance: a cup stretched by a quarter."""
+
+MAX_MISFIT_RATIO = 0.4
+"""Largest ratio of relative motion after and before the correction of a convention."""
+
+SIMPLER = 0.9
+"""Ratio of misfits below which a later candidate replaces an earlier one."""
+
+HANGING = 0.2
+"""Largest misalignment of a package that hangs below its tool, a sum of two cosines from 1: 36
+degrees of one of the two."""
+
+TILTED = 0.5
+"""Smallest misalignment for which another order of quaternions is tested; 60 degrees of one
+body."""
+
+Bodies = tuple[Trajectory, Trajectory]
+
+WRONG = {'package': (False, True), 'tool': (True, False), 'both': (True, True)}
+"""Whether tool and package are wrong, by the name of the body."""
+
 
 @dataclass(frozen=True, eq=False)
 class RecordedPoses:
@@ -198,9 +227,9 @@ def swapped_bodies(poses: RecordedPoses) -> Iterator[Finding]:
     above = np.einsum('ni,ni->n', offset, hand.rotation[:, :, 2]) / np.maximum(distance, 1e-9)
     up, _ = tool_up(hand.rotation, poses.R_world_recorded)
     above *= np.sign(up if abs(up) > UPRIGHT else -np.median(above))
-    near = np.abs(distance - usual) < conventions.MAX_CHANGE * usual
-    one = distance < conventions.MAX_CHANGE * usual
-    if not 1e-3 < usual < conventions.MAX_REACH or np.mean(near | one) < MIN_NEAR_PART or (
+    near = np.abs(distance - usual) < MAX_CHANGE * usual
+    one = distance < MAX_CHANGE * usual
+    if not 1e-3 < usual < MAX_REACH or np.mean(near | one) < MIN_NEAR_PART or (
             np.mean(near & (above < -UPRIGHT)) < 1.0 - MIN_NEAR_PART):
         return
     wrong = (above > UPRIGHT) & near | one
@@ -244,7 +273,7 @@ def fixed_packages(poses: RecordedPoses) -> Iterator[Finding]:
     deviation = _deviation(relative)
     tilt = float(np.linalg.norm(np.std(tool.rotation[:, 2, :2], axis=0)))
     distance = float(np.median(np.linalg.norm(relative.position, axis=1)))
-    if poses.one_frame and distance < conventions.MAX_REACH and (
+    if poses.one_frame and distance < MAX_REACH and (
             moves or float(noise[3:].max()) < MIN_TILT_RATIO * tilt) and np.all(
             deviation < np.fmax(FIXED, NOISE_DEVIATIONS * noise)) and np.all(
             noise < MOVING / 10.0):
@@ -272,11 +301,63 @@ def noise_of(body: Trajectory) -> Array:
 def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield positions in millimetres, and quaternions that explain non-rigid motion."""
     wrong = [body for body, stream in (('tool', poses.tool), ('package', poses.package))
-             if conventions.in_millimetres(stream.trajectory())]
+             if in_millimetres(stream.trajectory())]
     yield from (Finding('millimetres', Level.ERROR, topic=body) for body in wrong)
     if poses.one_frame and poses.bodies and not wrong and (
-            body := conventions.wrong_order(poses.bodies)):
+            body := wrong_order(poses.bodies)):
         yield Finding('quaternions', Level.ERROR, topic=body)
+
+
+def in_millimetres(body: Trajectory) -> bool:
+    """Return whether a body moves so far that its positions are in millimetres."""
+    low, high = np.percentile(body.position, (1, 99), axis=0)
+    return bool(np.linalg.norm(high - low) > MAX_MOTION)
+
+
+def w_last(body: Trajectory) -> Trajectory:
+    """Return poses from poses of quaternions with w first."""
+    q = np.roll(lie.rotation_to_quaternion(body.rotation), -1, axis=-1)
+    return replace(body, rotation=lie.quaternion_to_rotation(q))
+
+
+def wrong_order(bodies: Bodies) -> str:
+    """Return the body with w first in its quaternions, 'both', or '' for none."""
+    distance, change = distance_of(bodies)
+    if not (MIN_REACH < distance < MAX_REACH and change < MAX_CHANGE):
+        return ''
+    moved, tilted = motion_in_tool(*bodies)
+    found, least = '', float('inf')
+    for body, wrong in WRONG.items():
+        moves, tilt = motion_in_tool(*(w_last(each) if is_wrong else each
+                                       for each, is_wrong in zip(bodies, wrong, strict=True)))
+        is_righted = moves < moved and tilt < HANGING and TILTED < tilted
+        if (is_righted or moves < MAX_MISFIT_RATIO * moved) and moves < SIMPLER * least:
+            found, least = body, moves
+    return found
+
+
+def distance_of(bodies: Bodies) -> tuple[float, float]:
+    """Return the median distance of the bodies, m, and its relative variation."""
+    tool, package = bodies
+    distance = np.linalg.norm(package.position - tool.position, axis=1)
+    low, middle, high = np.percentile(distance, (25, 50, 75))
+    return float(middle), float((high - low) / max(middle, 1e-12))
+
+
+def motion_in_tool(tool: Trajectory, package: Trajectory) -> tuple[float, float]:
+    """
+    Return the motion of the package in the tool, and its misalignment with the tool's z axis.
+
+    The motion is a rotation (rad) plus a path in units of the distance, the misalignment a sum of
+    two deviations of cosines from 1.
+    """
+    back = np.swapaxes(tool.rotation, 1, 2)
+    offset, turned = lie.apply(back, package.position - tool.position), back @ package.rotation
+    offset = offset / max(float(np.median(np.linalg.norm(offset, axis=1))), 1e-12)
+    rotation = lie.log_so3(turned[len(turned) // 2].T @ turned)
+    return (sum(float(np.linalg.norm(np.subtract(*np.percentile(values, (75, 25), axis=0))))
+                for values in (offset, rotation)),
+            2.0 + float(np.mean(offset[:, 2]) - np.mean(turned[:, 2, 2])))
 
 
 def exchanged_topics(poses: RecordedPoses) -> Iterator[Finding]:
@@ -287,7 +368,7 @@ def exchanged_topics(poses: RecordedPoses) -> Iterator[Finding]:
     offset = package.position - tool.position
     in_tool = float(np.median(lie.apply(np.swapaxes(tool.rotation, 1, 2), offset)[:, 2]))
     upward = float(np.median(offset @ poses.R_world_recorded[2]))
-    if np.median(np.linalg.norm(offset, axis=1)) < conventions.MAX_REACH and (
+    if np.median(np.linalg.norm(offset, axis=1)) < MAX_REACH and (
             min(in_tool, upward) > 0.0):
         yield Finding('exchanged', Level.ERROR, {'in_tool': in_tool, 'upward': upward}, 'both')
 

@@ -14,8 +14,8 @@ from bellows_ros.core.signals.residuals import spectrum
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory, uniform_rate_hz
 import numpy as np
 
-from . import alignment, conventions
-from .pose_faults import noise_of
+from . import alignment
+from .pose_faults import MAX_REACH, noise_of
 from .recording import Recording
 
 TAG_ROTATION = 2e-3
@@ -94,7 +94,7 @@ def misplaced(recording: Recording) -> Iterator[Finding]:
     back, centre = np.swapaxes(tool.rotation, 1, 2), package.position - tool.position
     lip = apply(back, centre - apply(package.rotation, recording.payload.com))
     away, above = (float(np.median(size)) for size in (np.linalg.norm(lip, axis=1), lip[:, 2]))
-    if away > conventions.MAX_REACH:
+    if away > MAX_REACH:
         yield Finding('package_world', Level.ERROR, {
             'why': f': the lip of the cup would be {away:.3g} m from the tool tip'})
     elif above > 0.0:  # mostly: the package may have fallen

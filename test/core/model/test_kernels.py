@@ -4,17 +4,14 @@ from dataclasses import replace
 
 from bellows_ros.core.geometry import jit, lie
 from bellows_ros.core.geometry.lie import (
-    adjoint,
-    inverse_transform,
     log_so3,
     quaternion_to_rotation,
 )
-from bellows_ros.core.model import equilibrium, kernels
+from bellows_ros.core.model import equilibrium
 from bellows_ros.core.model.cup_package import box_inertia, Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import (
     advance,
     lip_wrench,
-    spring_wrench,
     tool_at,
     tool_segment,
     with_strains,
@@ -30,7 +27,6 @@ from ...cell.cup import (
     orthonormal,
     random_cup,
     random_package,
-    random_pose,
     state_of,
     T_WORLD_PACKAGE,
     T_WORLD_TOOL,
@@ -114,16 +110,6 @@ def test_observed_order_is_four(shaken):
     assert np.all(orders > 3.7), orders
 
 
-def test_the_rate_of_a_rotation_vector_is_exact_to_the_third_order():
-    rng = np.random.default_rng(2)
-    sigma, w = rng.standard_normal((2, 3))
-    errors = [np.linalg.norm(
-        kernels.rotation_rate(tuple(size * sigma), tuple(w)) - np.linalg.solve(
-            lie.dexp(-size * sigma), w)) for size in (0.1, 0.05)]
-    assert errors[0] < 1e-5
-    assert_allclose(np.log2(errors[0] / errors[1]), 4.0, atol=0.05)  # the next term is sigma^4
-
-
 @jit.entry
 def repeat(model, body, tool, later, h, count):
     """Advance many times with the same tool motion."""
@@ -146,41 +132,8 @@ def test_rotation_stays_orthonormal_after_many_steps():
     assert np.all(np.isfinite(np.concatenate(body)))
 
 
-def test_hermite_curve_meets_both_samples_and_its_twist_is_its_derivative():
-    rng = np.random.default_rng(5)
-    motion, h = ShakenTool(rng, frequency=3.0), 0.02
-    start, end = (state_of(*motion.at(t)) for t in (0.3, 0.3 + h))
-    segment = tool_segment(start, end, h)
-    for s, sample in ((0.0, start), (1.0, end)):
-        for got, wanted in zip(tool_at(segment, s), sample, strict=True):
-            sign = np.sign(np.dot(got, wanted)) if len(got) == 4 else 1.0
-            assert_allclose(np.array(got) * sign, wanted, atol=1e-12)
-    for s in (0.2, 0.5, 0.9):
-        before, now, after = (tool_at(segment, s + d) for d in (-1e-5, 0.0, 1e-5))
-        R = quaternion_to_rotation(np.array(now[1]))
-        velocity = R.T @ (np.array(after[0]) - before[0]) / (2e-5 * h)
-        turn = [log_so3(R.T @ quaternion_to_rotation(np.array(x[1]))) for x in (before, after)]
-        assert_allclose(now[2], velocity, atol=1e-7)
-        assert_allclose(now[3], (turn[1] - turn[0]) / (2e-5 * h), atol=1e-7)
-
-
 R = (0.3, 0.2)
 STILL = state_row(np.zeros(3), [0.0, 0.0, 0.0, 1.0])
-
-
-def test_both_ports_agree():
-    rng = np.random.default_rng(1)
-    K = random_cup(rng)
-    blocks, branches = K.as_tuple[2], ((0.3, 0.06), (0.2, 0.8))
-    H = random_pose(rng, 0.5, 0.02)
-    back, z = inverse_transform(H), random_strains(rng)
-    (f, m), (g, n) = (
-        spring_wrench(
-            tuple(T[:3, 3].tolist()), tuple(T[:3, :3].ravel().tolist()), blocks, branches,
-            tuple(map(pair, sign * z)))
-        for T, sign in ((H, 1.0), (back, -1.0)))
-    # power at one port is that at the other: the twist at S2 is -X(H) times that at S1
-    assert_allclose(np.hstack([f, m]), -adjoint(H).T @ np.hstack([g, n]), rtol=1e-11)
 
 
 def test_a_step_meets_the_whole_stiffness_and_rest_the_static_one():
@@ -210,20 +163,6 @@ def test_nominal_motions_are_those_of_the_linearised_model(relaxation):
     expected = equilibrium.nominal_system_matrix(model)
     found = equilibrium.system_matrix(model, tool, equilibrium.resting_on_tool(model, tool))
     assert_allclose(found, expected, rtol=0, atol=1e-9 * expected.max())  # differences
-
-
-def test_modes_are_those_of_the_complex_stiffness():
-    rng = np.random.default_rng(8)
-    cup, package = replace(random_cup(rng), relaxation=R), random_package(rng)
-    values = np.linalg.eigvals(equilibrium.nominal_system_matrix(model_tuple(cup, package, 0.0)))
-    for s in values[np.abs(values.imag) > 1.0]:
-        growth = sum(r * s * tau / (1.0 + s * tau) for r, tau in zip(
-            cup.relaxation, cup.relaxation_times, strict=True))
-        by_static, by_damping = (
-            equilibrium.nominal_system_matrix(model_tuple(Cup(K, P, cup.length), package, 0.0))[6:]
-            for K, P in ((cup.stiffness, np.zeros((6, 6))), (np.zeros((6, 6)), cup.damping)))
-        A = s * s * np.eye(6) - (1.0 + growth) * by_static[:, :6] - s * by_damping[:, 6:]
-        assert np.linalg.svd(A, compute_uv=False)[-1] < 1e-8 * abs(s) ** 2
 
 
 def test_steps_are_short_enough_for_the_shortest_time():

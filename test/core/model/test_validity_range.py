@@ -1,6 +1,5 @@
 """What a fit has seen, against motions made by hand."""
 
-from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.least_squares import envelope, Samples
@@ -121,17 +120,6 @@ def test_what_is_no_range_is_refused(change):
     """Check on construction."""
     with pytest.raises(BellowsError):
         Envelope(**{**vars(KNOWN), **change})
-
-
-def test_faster_motions_than_seen_are_beyond_and_slower_ones_are_not():
-    """Compare bands, of motions whose rates and deflections are the same or less."""
-    slow = envelope(samples(), LENGTH)
-    faster = replace(slow, frequencies=np.array([slow.frequencies[0], [5.0, 9.0]]))
-    phrases = validity_range.beyond(slow, faster)
-    assert len(phrases) == 1 and 'the frequency of rotation is 9 Hz, seen up to' in phrases[0]
-    assert validity_range.beyond(faster, slow) == ()
-    unknown = replace(slow, frequencies=np.zeros((2, 2)))
-    assert validity_range.beyond(unknown, faster) == ()
 
 
 def test_standstills_widen_only_deflections():
