@@ -47,7 +47,7 @@ EXTRAS = {
         'flake8-quotes',
     ],
 }
-EXTRAS['dev'] = sorted({need for needs in EXTRAS.values() for need in needs}) + ['pre-commit']
+EXTRAS['dev'] = sorted({need for needs in EXTRAS.values() for need in needs})
 
 setup(
     name=PACKAGE,
