@@ -146,18 +146,16 @@ class Correction:
         self.holding_reach = model[0][1] + LARGEST_LOAD * sag(model)
         self.law = law_of(model)
         self.row = model_row(model)
-        stated = states.stated_by(values, model)
-        self.prior = states.each_row('prior', stated)
+        self.weight, self.prior, inertia, walk = states.priors_of(values, model)
         prior = np.diag(np.square(self.prior))
-        prior[INERTIAS, INERTIAS] = stated.inertia
+        prior[INERTIAS, INERTIAS] = inertia
         n = states.ROWS_WITHOUT_SENSOR
         self.initial = Estimate(
             0, ORIGIN, ORIGIN, np.zeros(n - STATE), prior[:n, :n].copy(), first_memory())
         self._prior_of_differing = np.square(self.prior[DIFFERING_ROWS])
         self.largest = LARGEST.copy()
-        self.weight = stated.weight
-        self.largest[WRENCH_ROWS] *= stated.weight
-        self._walk = np.square(states.each_row('walk', stated))
+        self.largest[WRENCH_ROWS] *= self.weight
+        self._walk = np.square(walk)
         self._marker, self.false_per_hour = marker, values.alarm.false_per_hour
         self._tool_noise = np.repeat(np.maximum(values.tool_noise, LEAST_TOOL_NOISE), 3)
 

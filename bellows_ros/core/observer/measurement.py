@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import COMPILED, entry, kernel
+from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.equilibrium import moved, moved_by, pose_error
@@ -205,32 +205,6 @@ def observation(n: int, body: State, noise: Array, of_lip: bool, white: float) -
 
 
 @kernel
-def output_of(H: Any, X: Any, out: Any, of_lip: bool) -> Any:
-    """Write H X (6, k), with H of `observation`, and return it."""
-    if not COMPILED:
-        out[:] = H @ X[:H.shape[1]]
-        return out
-    for i in range(6):
-        row, one = out[i], H[i]
-        late = one[LATENCY]
-        a, b, c = one[CAMERA], one[CAMERA + 1], one[CAMERA + 2]
-        d, e, f = one[CAMERA + 3], one[CAMERA + 4], one[CAMERA + 5]
-        u, v, w = one[NOISE], one[NOISE + 1], one[NOISE + 2]
-        x, y, z = one[NOISE + 3], one[NOISE + 4], one[NOISE + 5]
-        for j in range(X.shape[1]):
-            row[j] = (
-                X[i, j] + X[MARKER + i, j] + late * X[LATENCY, j]
-                + a * X[CAMERA, j] + b * X[CAMERA + 1, j] + c * X[CAMERA + 2, j]
-                + d * X[CAMERA + 3, j] + e * X[CAMERA + 4, j] + f * X[CAMERA + 5, j]
-                + u * X[NOISE, j] + v * X[NOISE + 1, j] + w * X[NOISE + 2, j]
-                + x * X[NOISE + 3, j] + y * X[NOISE + 4, j] + z * X[NOISE + 5, j])
-        if of_lip and i < 3:
-            for j in range(X.shape[1]):
-                row[j] -= X[COM + i, j]
-    return out
-
-
-@kernel
 def innovation_of(
     body: State, theta: Array, P: Array, difference: Array, noise: Array, marker: Marker,
     jitter: float,
@@ -247,8 +221,8 @@ def innovation_of(
     for i in range(6):
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
-    HP = output_of(H, P, np.empty((6, n)), of_lip)
-    S = output_of(H, t3.transpose(HP), np.empty((6, 6)), of_lip)
+    HP = t3.product(H, P, np.empty((6, n)))
+    S = t3.product(HP, t3.transpose(H), np.empty((6, 6)))
     for i in range(6):
         for j in range(6):
             S[i, j] += white * noise[i, j] + jitter * H[i, LATENCY] * H[j, LATENCY]

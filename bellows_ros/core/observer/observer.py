@@ -36,7 +36,7 @@ from bellows_ros.core.observer.states import (
 )
 from bellows_ros.core.observer.support import Support
 from bellows_ros.core.observer.track import Track
-from bellows_ros.core.observer.wrenches import Watch, WrenchFilter
+from bellows_ros.core.observer.wrenches import WrenchFilter
 from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.sensors.wrench import BLOCK_NS, WrenchSensor
@@ -143,7 +143,6 @@ class Observer:
         self._correction = Correction(self._values, self.sensor.marker, model, max_step, reach)
         if before is not None and before.nominal[0] == model[0]:
             rows += CUP_ROWS
-        self._watch = Watch(self._correction.weight)
         self._begin_with(rows if self.has_sensor else ())
         gravity = model[2] if any(model[2]) else (0.0, 0.0, -1.0)
         self._support.use(t3.scale(-1.0 / t3.norm(gravity), gravity), sag(model))
@@ -173,7 +172,6 @@ class Observer:
             each.clear()
         self._track.count = 0
         self._newest = None
-        self._watch.clear()
         self.wrenches.clear()
         self._since_ns = self._gated = 0
         if states.MASS not in kept:
@@ -410,12 +408,9 @@ class Observer:
 
     def _watch_wrench(self, stamp_ns: int) -> None:
         """Detect a loss in the newest wrench, away from supports."""
-        last = self._estimates[-1]
-        if (not self._correction.false_per_hour or self._track.count < 2
-                or self._support.at(stamp_ns) or self.wrenches.set_up.is_contradicted):
-            self._watch.clear()
-        elif self._watch.is_lost(stamp_ns, *self.wrenches.package_load(
-                self._correction, last, self._track, stamp_ns)):
+        if self._correction.false_per_hour and self.wrenches.is_lost(
+                self._correction, self._estimates[-1], self._track, stamp_ns,
+                self._support.at(stamp_ns) > 0):
             self._of_signals.append(Alarm(stamp_ns, LOST, shown_by='wrench'))
             self._raise(self._of_signals[-1])
 

@@ -14,7 +14,6 @@ coordinates the filter would use noise as information on the scale.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import math
 from typing import NamedTuple
 
@@ -80,43 +79,6 @@ NOISE_SIDE = 'noise'
 """Owner of states of the noise."""
 
 
-class Stated(NamedTuple):
-    """Stated standard deviations and the weight, from which priors and walks follow."""
-
-    weight: float
-    """N."""
-    arm: float
-    """Lever of the wrench bias, m."""
-    mass: float
-    """Relative."""
-    com: Array
-    """m."""
-    stiffness: Array
-    """Relative, along each axis (6,)."""
-    damping: Array
-    inertia: Array
-    """Covariance of the logarithms of the second moments of mass (3, 3)."""
-    marker: Array
-    """m, rad (6,)."""
-    camera: Array
-    latency: float
-    """s."""
-    zero: Array
-    """Bias of a force-torque sensor (6,), N and N m."""
-    drift: Array
-    """Random walk of the bias in 1 s (6,)."""
-    gain: float
-    """Relative gain of the sensor."""
-
-    @property
-    def wrench(self) -> Array:
-        """The weight at levers of 1 m (6,), N and N m."""
-        return np.full(6, self.weight)
-
-
-Size = Callable[[Stated], 'Array | float']
-
-
 class State(NamedTuple):
     """A state, or several equal ones, of the filter."""
 
@@ -126,38 +88,30 @@ class State(NamedTuple):
     belongs_to: str
     largest: float
     """Largest physical value, in the unit."""
-    prior: Size
-    """Initial standard deviation."""
-    walk: Size = lambda stated: 0.0
-    """Standard deviation of its random walk in 1 s."""
 
 
 STATES = (
-    State('SHIFT', 3, 'm', MOTION, math.inf, lambda by: 0.01),
-    State('TURN', 3, 'rad', MOTION, math.inf, lambda by: 0.1),
-    State('SPEED', 3, 'm/s', MOTION, 50.0, lambda by: 0.5),
-    State('SPIN', 3, 'rad/s', MOTION, 300.0, lambda by: 1.0),
-    State('MASS', 1, 'log', PACKAGE, math.log(20.0), lambda by: by.mass),
-    State('COM', 3, 'm', PACKAGE, 0.5, lambda by: by.com),
+    State('SHIFT', 3, 'm', MOTION, math.inf),
+    State('TURN', 3, 'rad', MOTION, math.inf),
+    State('SPEED', 3, 'm/s', MOTION, 50.0),
+    State('SPIN', 3, 'rad/s', MOTION, 300.0),
+    State('MASS', 1, 'log', PACKAGE, math.log(20.0)),
+    State('COM', 3, 'm', PACKAGE, 0.5),
     # additional wrench on the package at the lip, in S axes, at the nominal mass, proportional to
     # the mass; its largest value is in weights, at 1 m for the moment
-    State('WRENCH', 6, 'N, N m', MOTION, 100.0,
-          lambda by: BIAS_SHARE * by.wrench * np.repeat([0.05, by.arm], 3),
-          lambda by: BIAS_WALK * by.wrench * np.repeat([1.0, WALK_ARM], 3)),
-    State('STIFFNESS', 6, 'log', CUP, math.log(100.0), lambda by: by.stiffness),
-    State('DAMPING', 6, 'log', CUP, math.log(100.0), lambda by: by.damping),
-    State('INERTIA', 3, 'log', PACKAGE, math.log(100.0),
-          lambda by: np.sqrt(np.diag(by.inertia))),
+    State('WRENCH', 6, 'N, N m', MOTION, 100.0),
+    State('STIFFNESS', 6, 'log', CUP, math.log(100.0)),
+    State('DAMPING', 6, 'log', CUP, math.log(100.0)),
+    State('INERTIA', 3, 'log', PACKAGE, math.log(100.0)),
     # the marker in B axes, the camera in the world, the delay of stamps, and the noise with memory
     # of the measured pose in B axes, in its standard deviations
-    State('MARKER', 6, 'm, rad', PACKAGE, math.tau, lambda by: by.marker),
-    State('CAMERA', 6, 'm, rad', CAMERA_SIDE, math.tau, lambda by: by.camera,
-          lambda by: by.camera / math.sqrt(CAMERA_WALK_TIME)),
-    State('LATENCY', 1, 's', CAMERA_SIDE, 1.0, lambda by: by.latency),
-    State('NOISE', 6, '1', NOISE_SIDE, 100.0, lambda by: 1.0),
+    State('MARKER', 6, 'm, rad', PACKAGE, math.tau),
+    State('CAMERA', 6, 'm, rad', CAMERA_SIDE, math.tau),
+    State('LATENCY', 1, 's', CAMERA_SIDE, 1.0),
+    State('NOISE', 6, '1', NOISE_SIDE, 100.0),
     # bias and gain of a force-torque sensor, present from its first wrenches on
-    State('ZERO', 6, 'N, N m', CAMERA_SIDE, 1e4, lambda by: by.zero, lambda by: by.drift),
-    State('GAIN', 1, '1', CAMERA_SIDE, 0.5, lambda by: by.gain),
+    State('ZERO', 6, 'N, N m', CAMERA_SIDE, 1e4),
+    State('GAIN', 1, '1', CAMERA_SIDE, 0.5),
 )
 """All states, in the order of the rows: those that change the motion are before `MARKER`."""
 
@@ -194,32 +148,65 @@ KNOWN_ROWS: Array = np.sort(SAME_PACKAGE)
 """Rows that are estimated over time; the others belong to the motion."""
 
 
-def each_row(sizes: str, stated: Stated) -> Array:
-    """Return the 'prior' or 'walk' of each row (n,), standard deviations."""
-    return np.concatenate([
-        np.broadcast_to(getattr(each, sizes)(stated), each.size) for each in STATES])
+class Priors(NamedTuple):
+    """Stated or usual uncertainty of the states."""
+
+    weight: float
+    """Weight of the package, N."""
+    std: Array
+    """Initial standard deviation of each row (n,)."""
+    inertia: Array
+    """Initial covariance of the rows of the inertia (3, 3)."""
+    walk: Array
+    """Standard deviation of the random walk of each row in 1 s (n,)."""
 
 
-def stated_by(values: Values, model: ModelTuple) -> Stated:
+def priors_of(values: Values, model: ModelTuple) -> Priors:
     """
-    Return the stated standard deviations, or usual ones.
+    Return the stated uncertainties, or usual ones.
 
     Raises
     ------
     BellowsError
-        If three of them exceed the physical range of the mass or the centre of mass.
+        If three standard deviations exceed the physical range of the mass or the centre of mass.
 
     """
-    blocks, (mass, _, inertia, _), gravity = model[0][2:4], model[1], model[2]
+    weight, (stiffness, damping) = model[1][0] * math.hypot(*model[2]), _of_cup(values, model)
+    mass, com, inertia = _of_package(values, model)
+    marker, camera = (
+        np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
+    prior: dict[str, float | Array] = {
+        'SHIFT': 0.01, 'TURN': 0.1, 'SPEED': 0.5, 'SPIN': 1.0, 'MASS': mass, 'COM': com,
+        'WRENCH': BIAS_SHARE * weight * np.repeat([0.05, COM_UNCERTAIN[0]], 3),
+        'STIFFNESS': stiffness, 'DAMPING': damping, 'INERTIA': np.sqrt(np.diag(inertia)),
+        'MARKER': marker, 'CAMERA': camera, 'LATENCY': values.measured.latency[1], 'NOISE': 1.0,
+        'ZERO': np.repeat(values.wrench.bias_std, 3), 'GAIN': GAIN_STD}
+    walk: dict[str, float | Array] = {
+        'WRENCH': BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3),
+        'CAMERA': camera / math.sqrt(CAMERA_WALK_TIME), 'ZERO': np.repeat(ZERO_DRIFT, 3)}
+    std, of_walk = (np.concatenate([
+        np.broadcast_to(sizes.get(each.name, 0.0), each.size) for each in STATES])
+        for sizes in (prior, walk))
+    return Priors(weight, std, inertia, of_walk)
+
+
+def _of_cup(values: Values, model: ModelTuple) -> list[Array]:
+    """Return the relative standard deviations (6,) of K and P along each axis."""
     C = np.square(composition(places_of(values))[UPPER[0] == UPPER[1]])
     relative = []
     for std_of, unstated, matrix in zip(
             (stiffness_std(values), np.reshape(values.cup.damping_std, (6, 6))),
-            (UNSTATED_CUP, UNSTATED_DAMPING), blocks, strict=True):
+            (UNSTATED_CUP, UNSTATED_DAMPING), model[0][2:4], strict=True):
         stated = std_of[UPPER]
         share = np.sqrt(C @ np.square(stated)) / np.maximum(
             np.r_[matrix[0][::4], matrix[2][::4]], 1e-12)
         relative.append(np.minimum(share, 1.0) if stated.any() else np.full(6, unstated))
+    return relative
+
+
+def _of_package(values: Values, model: ModelTuple) -> tuple[float, Array, Array]:
+    """Return relative std of the mass, std (3,) of com, m, and covariance (3, 3) of INERTIA."""
+    mass, _, inertia, _ = model[1]
     is_free = values.payload.estimate
     mass_std, com, moments = (
         stated_std(values, f'package.{name}_std', np.array(usual)) for name, usual in (
@@ -234,13 +221,7 @@ def stated_by(values: Values, model: ModelTuple) -> Stated:
                 f'package.{name}_std is {std:g}; expected at most {most:.3g}, so that three '
                 'standard deviations are possible. Weigh and measure the package, or leave '
                 f'package.{name}_std out for the usual uncertainty.')
-    marker, camera = (
-        np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
-    return Stated(
-        mass * math.hypot(*gravity), COM_UNCERTAIN[0], float(mass_std[0]) / mass, com,
-        relative[0], relative[1], _of_moments(np.reshape(inertia, (3, 3)), moments), marker,
-        camera, values.measured.latency[1], np.repeat(values.wrench.bias_std, 3),
-        np.repeat(ZERO_DRIFT, 3), GAIN_STD)
+    return float(mass_std[0]) / mass, com, _of_moments(np.reshape(inertia, (3, 3)), moments)
 
 
 def _of_moments(inertia: Array, std: Array) -> Array:

@@ -176,12 +176,12 @@ class WrenchFilter:
     def __init__(self, sensor: WrenchSensor) -> None:
         self.sensor = sensor
         self._stamps, self._values = np.zeros(KEPT, np.int64), np.zeros((KEPT, 6))
-        self._count = self._outside = 0
+        self._count = self._outside = self._since_ns = 0
         self.set_up = SetUp(sensor)
 
     def clear(self) -> None:
         """Accept wrenches of any next stamp."""
-        self._count = 0
+        self._count = self._since_ns = 0
 
     def in_own_axes(self, tool: State, of_world: Vector) -> Vector:
         """Return a vector of the world in axes of the sensor."""
@@ -235,10 +235,14 @@ class WrenchFilter:
         is_used = not self.set_up.is_contradicted and self._outside in (0, PERSISTING)
         return after if is_used else before
 
-    def package_load(
-        self, correction: Correction, estimate: Estimate, track: Track, stamp_ns: int
-    ) -> tuple[Array, Array]:
-        """Return the load (6,) of the package at the newest wrench, shown and predicted."""
+    def is_lost(
+        self, correction: Correction, estimate: Estimate, track: Track, stamp_ns: int,
+        on_support: bool,
+    ) -> bool:
+        """Return whether the force of a package in the air has disappeared in last wrenches."""
+        if on_support or track.count < 2 or self.set_up.is_contradicted:
+            self._since_ns = 0
+            return False
         stamps, _, ends, bodies = track.rows
         k = max(track.after(stamp_ns) - 1, 1)
         j = max(track.after(stamps[k] - SMOOTH_NS) - 1, 0)
@@ -248,8 +252,12 @@ class WrenchFilter:
         other = self._of_gripper(
             before, now, (stamps[k] - stamps[j]) / NS_PER_S, correction.nominal[2])
         zero = _with_sensor(estimate, correction.prior).theta[states.ZERO - STATE:][:6]
-        return (self._values[self._count - 1] - zero - other,
-                np.ravel(cup_load(model, now, body, self.sensor.mount)))
+        force = self._values[self._count - 1, :3] - zero[:3] - other[:3]
+        f = np.array(cup_load(model, now, body, self.sensor.mount)[0])
+        square, usual = max(float(f @ f), 1e-9), (LEAST_LOAD * correction.weight) ** 2
+        is_off = square > usual > force @ force and force @ f < LOST_SHARE * square
+        self._since_ns = (self._since_ns or stamp_ns) if is_off else 0
+        return bool(is_off) and stamp_ns - self._since_ns >= LOSS_NS
 
     def _of_gripper(self, start: State, end: State, seconds: float, gravity: Any) -> Array:
         """Return the mean load (6,) of the gripper between two states, less that at the zero."""
@@ -311,34 +319,6 @@ def _learned(memory: Array, z: Array, share: Array) -> Array:
     """
     growth = ((z * z - 1.0) * share).reshape(2, 3).sum(axis=1) / LEARNING_COUNT
     return np.asarray(np.maximum(memory * np.exp(np.clip(growth, -0.5, 0.5)), 1.0))
-
-
-class Watch:
-    """
-    Detect a loss in successive loads of a package on a sensor, whose force disappears.
-
-    Parameters
-    ----------
-    weight : float
-        Weight of the package, N.
-
-    """
-
-    def __init__(self, weight: float) -> None:
-        self._weight = weight
-        self.clear()
-
-    def clear(self) -> None:
-        """Begin with another package."""
-        self._since_ns = 0
-
-    def is_lost(self, stamp_ns: int, shown: Array, predicted: Array) -> bool:
-        """Return whether the package is lost by another load (6,), shown and predicted."""
-        force, f = shown[:3], predicted[:3]
-        square, usual = max(float(f @ f), 1e-9), (LEAST_LOAD * self._weight) ** 2
-        is_off = square > usual > force @ force and force @ f < LOST_SHARE * square
-        self._since_ns = (self._since_ns or stamp_ns) if is_off else 0
-        return bool(is_off) and stamp_ns - self._since_ns >= LOSS_NS
 
 
 class SetUp:

@@ -9,7 +9,7 @@ from bellows_ros.core.observer.dynamics import DIFFERENCE
 from bellows_ros.core.observer.filter import SHARE
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.pose_sensor import MAX_VARIANCE
-from bellows_ros.core.observer.states import DAMPING, each_row, SAME_PACKAGE, stated_by, WRENCH
+from bellows_ros.core.observer.states import DAMPING, priors_of, SAME_PACKAGE, WRENCH
 from bellows_ros.report.findings import text
 import numpy as np
 import pytest
@@ -386,7 +386,6 @@ def test_a_cup_without_damping_in_an_axis_has_a_known_uncertainty():
     P = CUP.damping.copy()
     P[0, 0] = 0.0
     model = model_tuple(Cup(CUP.stiffness, P, CUP.length), PACKAGE, 9.81)
-    assert np.isfinite(each_row('prior', stated_by(values(), model))).all()
-    found = each_row('prior', stated_by(
-        values(cup__damping_std=np.eye(6).ravel().tolist()), model))
+    assert np.isfinite(priors_of(values(), model).std).all()
+    found = priors_of(values(cup__damping_std=np.eye(6).ravel().tolist()), model).std
     assert np.isfinite(found).all() and found[DAMPING] == 1.0
