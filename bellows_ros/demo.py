@@ -72,8 +72,9 @@ def run(folder: Path, out: Path) -> int:
         folder / name for name in ('identification', 'validation', 'package.yaml'))
     given = resolve({**parameter_files.read_parameters(package), 'bags': [str(fitted)]},
                     PACKAGE_PARAMETERS)
-    rows = [(TOPICS[each], message.log_time_ns, message.data) for each in TOPICS
-            for message in bags.read_messages(validated, [given[each]])]
+    topics = {bags.absolute(given[each]): topic for each, topic in TOPICS.items()}
+    rows = [(topics[name], log_ns, data)
+            for name, log_ns, data in bags.read_messages(validated, topics)]
     out.mkdir(parents=True, exist_ok=True)
     print(f'1. Identify the cup from {fitted} (compiles once a version, about a minute)',
           flush=True)
@@ -81,7 +82,7 @@ def run(folder: Path, out: Path) -> int:
     identification.save(result, out / 'cup.yaml', out / 'fit.json')
     print(f'2. Start the node predictor with it, and play {validated} to it over DDS', flush=True)
     predicted, latency = _predict_live(
-        sorted(rows, key=lambda row: row[1]), (out / 'cup.yaml', package), out / 'predictor.log')
+        rows, (out / 'cup.yaml', package), out / 'predictor.log')
     print('3. Compare its poses with the measured ones\n')
     is_accurate = _compare(
         validated, given.replaced(result.parameters()), predicted, out / 'demo.png')

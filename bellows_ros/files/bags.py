@@ -37,15 +37,6 @@ class TopicCount(NamedTuple):
     messages: int
 
 
-class Message(NamedTuple):
-    """A recorded message: topic, type, time of recording (ns), and bytes."""
-
-    topic: str
-    type_name: str
-    log_time_ns: int
-    data: bytes
-
-
 class Contents(NamedTuple):
     """The streams of a recording by role, and the errors of unreadable roles."""
 
@@ -139,9 +130,9 @@ def topics(path: File) -> list[TopicCount]:
         return _topics(reader)
 
 
-def read_messages(path: File, names: Collection[str]) -> list[Message]:
+def read_messages(path: File, names: Collection[str]) -> list[tuple[str, int, bytes]]:
     """
-    Return the recorded messages of topics in the order of their times of recording.
+    Return topic, time of recording (ns) and bytes of the messages of topics, in their order.
 
     Raises
     ------
@@ -151,12 +142,12 @@ def read_messages(path: File, names: Collection[str]) -> list[Message]:
     """
     wanted = {absolute(name) for name in names}
     with _opened(path) as reader:
-        found = [Message(own.topic, own.msgtype, log_time_ns, data) for own, log_time_ns, data
+        found = [(own.topic, log_time_ns, data) for own, log_time_ns, data
                  in _stored(reader, lambda name, _: name in wanted)]
-    if missing := wanted - {message.topic for message in found}:
+    if missing := wanted - {topic for topic, *_ in found}:
         raise BellowsError(
             f"Recording '{path}' has no messages on {', '.join(sorted(missing))}.")
-    return sorted(found, key=lambda message: message.log_time_ns)
+    return sorted(found, key=lambda message: message[1])
 
 
 def messages_of(
