@@ -152,6 +152,7 @@ class LivePredictor:
         self._begun_ns: int | None = None
         self._trusted_ns = self._unsafe_ns = -1
         self._moved_ns = -STOPPED_NS
+        self._resting: Quaternion | None = None  # orientation of the tool when it last rested
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, object]) -> LivePredictor:
@@ -253,10 +254,10 @@ class LivePredictor:
 
     @property
     def is_above(self) -> bool:
-        """Whether z of the tool points down, with the package above the tool."""
-        if self.latest is None:
+        """Whether z of the tool pointed down when it last rested: a package is above it."""
+        if self.latest is None or self._resting is None:
             return False
-        x, y, z, w = self.latest.tool[1]
+        x, y, z, w = self._resting
         z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
         return points_down(z_world, self.model[2])
 
@@ -615,9 +616,11 @@ class LivePredictor:
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start from rest at this pose."""
         before, now = self.tool.motion.states(pose, twist, self.package.sample)
+        if is_moving(now):
+            self._moved_ns = pose.stamp_ns
+        else:
+            self._resting = now[1]
         if self._cycle.follows:
-            if is_moving(now):
-                self._moved_ns = pose.stamp_ns
             self._on_tool(pose.stamp_ns, pose.position)
         if not self.attached:
             return None

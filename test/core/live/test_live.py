@@ -278,3 +278,13 @@ def test_a_package_is_never_further_from_its_tool_than_a_cup_reaches():
             farthest = max(farthest, np.linalg.norm(lip))
     assert live.restarts['diverged'] > 0
     assert 0.05 < farthest < 0.16 + 2 * 0.03  # the centre of mass turns about the lip
+
+
+def test_package_is_above_the_tool_only_if_it_was_so_at_rest(predictor):
+    """Ignore a tool that turns over in motion."""
+    found = []
+    for k, angle in enumerate([*np.zeros(60), *np.linspace(0.0, np.pi, 60), *[np.pi] * 60]):
+        q = (math.sin(0.5 * angle), 0.0, 0.0, math.cos(0.5 * angle))
+        predictor.on_pose(START + k * PERIOD, 'base', ZERO, q)
+        found.append(predictor.is_above)
+    assert (any(found[:115]), all(found[140:])) == (False, True)
