@@ -89,11 +89,10 @@ def stated_payload(values: Values, stamp_ns: int) -> Payload:
 
 
 class Sample(NamedTuple):
-    """The tool and the package at one instant."""
+    """The tool at one instant."""
 
     stamp_ns: int
     tool: State
-    body: State
 
 
 class HeldPackage:
@@ -146,21 +145,18 @@ class HeldPackage:
         self._retry_ns = -1
         self.observer.set_model(model, longest_step, self._reach)
         if self.sample is not None:
-            stamp_ns, tool, body = self.sample
-            self.sample = Sample(stamp_ns, tool, equilibrium.adapted(model, tool, body))
-            self._begin()
+            self._begin(equilibrium.adapted(model, self.sample.tool, self.observer.body))
 
-    def _begin(self) -> None:
-        """Let the observer begin with the newest sample."""
+    def _begin(self, body: State) -> None:
+        """Let the observer begin with the newest sample and a package."""
         assert self.sample
-        self.observer.start(*self.sample)
+        self.observer.start(*self.sample, body)
         if self.settling.is_known:
             self.observer.settle(self.settling.error_at)
 
     def correct(self, measurement: Measurement, since_ns: int = 0) -> None:
         """Correct the package with a measured pose, some time (ns) after the newest sample."""
-        if not self.observer.update(measurement, since_ns):
-            self._use_corrected()
+        self.observer.update(measurement, since_ns)
 
     def feel(self, stamp_ns: int, wrench: Wrench, in_world: bool) -> str:
         """Correct the package with a wrench in sensor or world axes; return why not, or ''."""
@@ -170,14 +166,7 @@ class HeldPackage:
         if in_world:
             force, moment = (observer.wrenches.in_own_axes(sample.tool, each) for each in wrench)
             wrench = force, moment
-        verdict = observer.on_wrench(stamp_ns, wrench)
-        self._use_corrected()
-        return verdict
-
-    def _use_corrected(self) -> None:
-        """Continue with the package of the observer."""
-        if self.sample is not None:
-            self.sample = self.sample._replace(body=self.observer.body)
+        return observer.on_wrench(stamp_ns, wrench)
 
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
         """Restart from rest at the next tool sample, with the estimates in given rows kept."""
@@ -204,13 +193,13 @@ class HeldPackage:
         if last is None:
             return self._start(stamp_ns, now)
         result = self._advanced(
-            last.body, before or last.tool, now, (stamp_ns - last.stamp_ns) / NS_PER_S, stamp_ns)
+            before or last.tool, now, (stamp_ns - last.stamp_ns) / NS_PER_S, stamp_ns)
         if result is None:
             self.outcome = 'diverged'
             observer.forget(SAME_PACKAGE)
             return self._start(stamp_ns, now)
         body, (force, moment) = result
-        self.sample = Sample(stamp_ns, now, body)
+        self.sample = Sample(stamp_ns, now)
         if self.settling.update(stamp_ns, now):
             observer.settle(self.settling.error_at)
         return Prediction(stamp_ns, *body[:4], force, moment, now, strains=body[4:])
@@ -226,7 +215,7 @@ class HeldPackage:
             return None
         duration = (stamp_ns - base.stamp_ns) / NS_PER_S
         tool = kernels.extrapolated(base.tool, duration)
-        result = self._advanced(base.body, base.tool, tool, duration)
+        result = self._advanced(base.tool, tool, duration)
         if result is None:
             return None
         body, (force, moment) = result
@@ -245,7 +234,7 @@ class HeldPackage:
         return P if self.has_covariance else UNKNOWN
 
     def _advanced(
-        self, body: State, start: State, end: State, duration: float, stored_ns: int = 0
+        self, start: State, end: State, duration: float, stored_ns: int = 0
     ) -> tuple[State, Wrench] | None:
         """
         Return package and wrench after the tool's step, or None if they are not finite.
@@ -260,7 +249,7 @@ class HeldPackage:
                 body, wrench, sound = estimate
             else:
                 body = (observer.body if stored_ns
-                        else observer.propagated_briefly(body, start, end, duration))
+                        else observer.propagated_briefly(start, end, duration))
                 wrench, sound = kernels.checked_wrench(self.model, end, body, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise instead of nan
             return None
@@ -282,7 +271,7 @@ class HeldPackage:
         if not is_sound:
             return None
         self.outcome, self._retry_ns = outcome, -1
-        self.sample = Sample(stamp_ns, tool, body)
+        self.sample = Sample(stamp_ns, tool)
         self.settling.begin(stamp_ns, tool)
-        self._begin()
+        self._begin(body)
         return Prediction(stamp_ns, *body[:4], *wrench, tool, strains=body[4:])

@@ -316,10 +316,10 @@ class Observer:
             stamp_ns = int(self._track.rows[0][self._track.after(before_ns) - 1])
             estimates[0] = self._correction.propagated(estimates[0], self._track, stamp_ns)
 
-    def propagated_briefly(self, body: State, start: State, end: State, seconds: float) -> State:
-        """Return a package after a motion of the tool, without storing it."""
+    def propagated_briefly(self, start: State, end: State, seconds: float) -> State:
+        """Return the package after a motion of the tool, without storing it."""
         return dynamics.advanced_with_wrench(
-            self.model, dynamics.wrench_bias(self._theta), body, start, end, seconds,
+            self.model, dynamics.wrench_bias(self._theta), self.body, start, end, seconds,
             substeps_for(seconds, self.max_step))
 
     # ------------------------------------------------------------ measurements
@@ -595,6 +595,6 @@ def warm_up_observer(values: Values, model: ModelTuple) -> None:
     observer.start(1, ORIGIN, resting_on_tool(model, ORIGIN))
     observer.update(Measurement(500_000, *observer.body[:2], np.eye(6)))
     observer.follow(1_000_000, ORIGIN, ORIGIN)
-    observer.propagated_briefly(observer.body, ORIGIN, ORIGIN, 1e-3)
+    observer.propagated_briefly(ORIGIN, ORIGIN, 1e-3)
     estimate = observer._estimates[-1]
     changed_by(observer.body, estimate.theta, np.zeros(len(estimate.covariance)))
