@@ -329,9 +329,8 @@ def _near(at: Solution, report: Report) -> tuple[Solution, bool]:
         if not at.is_finite or damping > MAX_STEP_DAMPING or (
                 at.squares < MISFIT_CHI2 * at.residual_count):
             break
-        information, slope = _tempered(at)
-        step = _damped_step(at, information.damped(damping), slope, used)
-        length = _squared_length(at, step, information)
+        step = _damped_step(at, at.information.damped(damping), at.slope, used)
+        length = _squared_length(at, step, at.information)
         new = _moved(at, step, renewed(at, False)[0])
         if new is None or not new.squares < MAX_SMALL_RISE * at.squares:
             damping = max(10.0 * damping, DAMPING)
@@ -384,15 +383,6 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         at, damping = new, 0.1 * damping if damping > MIN_STEP_DAMPING else 0.0
         report(at.cup, at.squares / at.residual_count)
     return replace(best, converged=least < LOOSE_TOLERANCE)
-
-
-def _tempered(at: Solution) -> tuple[Arrow, Array]:
-    """Return information and slope with the noise that explains the misfit."""
-    part = 1.0 - 1.0 / max(at.squares / at.residual_count, 1.0)
-    prior, slope = at.problem.prior(at.theta)
-    return replace(at.information, **{
-        name: (1.0 - part) * getattr(at.information, name) + part * getattr(prior, name)
-        for name in ('shared', 'coupling', 'own')}), (1.0 - part) * at.slope + part * slope
 
 
 def renewed(at: Solution, with_noise: bool = True) -> tuple[Held, bool]:
