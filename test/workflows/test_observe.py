@@ -92,7 +92,7 @@ def test_both_are_better_than_either(filmed):
     assert found.payload.com_std.max() < 1e-3
     assert abs(np.subtract(found.payload.com, (0.0, 0.0, -0.03))).max() < 1e-3
     assert f'Estimated: mass {found.payload.mass:.4g} ±' in text(found.findings[1])
-    assert found.counts['out_of_reach'] + found.counts.get('gate', 0) >= 15
+    assert found.counts['out_of_reach'] + found.counts.get('outlier', 0) >= 15
 
 
 def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):

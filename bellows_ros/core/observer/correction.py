@@ -245,7 +245,7 @@ class Correction:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
 
-        Further results are the verdict (`used`, `recovered`, `gate` or `out_of_reach`),
+        Further results are the verdict (`used`, `recovered`, `outlier` or `out_of_reach`),
         and an alarm, if any. While a support may be near, deviations do not count.
         """
         if not measurement.is_pose:
@@ -260,7 +260,7 @@ class Correction:
                 evidence=before.evidence._replace(seen=result)), 'out_of_reach', None
         gated = (*before.gated_ns, stamp_ns) if result.verdict == measured.OUTSIDE else ()
         name = 'used' if not gated else 'recovered' if (
-            len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'gate'
+            len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'outlier'
         after = after._replace(
             gated_ns=gated, away_ns=before.away_ns if gated else 0,
             late_ns=measurement.stamp_ns - stamp_ns,

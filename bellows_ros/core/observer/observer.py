@@ -78,7 +78,7 @@ MAX_ONSETS = 30
 
 VERDICTS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'millimetres', 'covariance', 'repeated',
-    'frame_id', 'not_held', 'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'gate',
+    'frame_id', 'not_held', 'late', 'future_stamp', 'duplicate_stamp', 'out_of_reach', 'outlier',
 )
 """Reasons for rejecting a measured pose."""
 
@@ -419,7 +419,7 @@ class Observer:
     def _note_trouble(self, stamp_ns: int, verdict: str, alarm: Alarm | None) -> None:
         """Keep an estimate after an interval without trouble; after trouble restart it."""
         estimate = self._estimates[-1]
-        self._gated += verdict == 'gate'
+        self._gated += verdict == 'outlier'
         if alarm is not None or verdict == 'recovered' or self._gated > MAX_GATED:
             self._since_ns, self._gated, self._candidate = stamp_ns, 0, estimate
         elif stamp_ns - self._candidate.stamp_ns > CLEAN_NS and not estimate.support:

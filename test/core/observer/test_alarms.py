@@ -48,7 +48,7 @@ def test_ordinary_cell_raises_no_alarm(name):
         cell = Cell(3, 8.0, CONDITIONS[name], payload__estimate=estimate)
         assert cell.run() == []
         outliers = cell.wrong['outliers'] + 0.1 * (cell.wrong['noise'] - 1.0)
-        assert cell.made.counts['gate'] <= 2 + len(cell.seen) * outliers
+        assert cell.made.counts['outlier'] <= 2 + len(cell.seen) * outliers
 
 
 @pytest.mark.parametrize(('rate_hz', 'frames', 'shift'), [(125 / 4, 2, 0.02), (125.0, 2, 0.5)])

@@ -25,7 +25,7 @@ def test_the_jitter_of_stamps_is_estimated(jitter):
     assert 0.5 * jitter < found < max(2.0 * jitter, 5e-4)
 
 
-@pytest.mark.parametrize(('late', 'verdict'), [(8e-3, 'used'), (14e-3, 'gate')])
+@pytest.mark.parametrize(('late', 'verdict'), [(8e-3, 'used'), (14e-3, 'outlier')])
 def test_stamp_off_by_some_ms_is_usual_from_the_first_motion_on(late, verdict):
     """Expect 2 ms: at 1 m/s the gate has a width of 5.3 standard deviations of the jitter."""
     stamps, tool = tool_motion(np.random.default_rng(3), 3.0, size=0.15)
@@ -36,4 +36,4 @@ def test_stamp_off_by_some_ms_is_usual_from_the_first_motion_on(late, verdict):
     poses = {4: body[4][:2], 8: body[8][:2], k: seen[:2]}
     follow(made, stamps[:k + 1], tool[:k + 1], body[0], at_once(stamps, poses))
     assert made.counts['used'] == 2 + (verdict == 'used')
-    assert made.counts['gate'] == (verdict == 'gate')
+    assert made.counts['outlier'] == (verdict == 'outlier')

@@ -94,7 +94,7 @@ def test_any_order_of_arrival_ends_with_the_same_estimate():
         made = observer(payload__estimate=True)
         made.grip()
         follow(made, stamps, tool, body[0], came)
-        assert made.counts['used'] + made.counts['gate'] == len(seen)
+        assert made.counts['used'] + made.counts['outlier'] == len(seen)
         assert made._support.is_near
         ends.append(made)
     for end in ends[1:]:
@@ -191,7 +191,7 @@ def test_outliers_are_left_out():
         seen[k] = shifted(seen[k], 0.05, -0.04, 0.03, 0.4, 0.0, 0.3)
     made = observer()
     follow(made, stamps, tool, body[0], at_once(stamps, seen))
-    assert made.counts['gate'] + made.counts['out_of_reach'] == len(wild)
+    assert made.counts['outlier'] + made.counts['out_of_reach'] == len(wild)
     assert made.counts['used'] == len(seen) - len(wild)
     assert np.linalg.norm(error_of(made.body, body[-1])[:3]) < 5e-4
 
@@ -205,7 +205,7 @@ def test_wrong_gate_opens_again():
     follow(made, stamps, tool, body[0], at_once(stamps, seen), after=lambda k: worst.append(
         error_of(made.body, body[k])[3]))
     assert made.counts['recovered'] >= 1
-    assert made.counts['gate'] >= 4
+    assert made.counts['outlier'] >= 4
     assert max(np.abs(worst[:230])) < 0.05 < 0.1 < max(np.abs(worst[270:]))
 
 
@@ -377,7 +377,7 @@ def test_package_that_was_falling_is_lost_at_the_first_pose_out_of_reach(before,
     seen[last], seen[away] = (shifted(seen[k], 0.0, 0.0, by) for k, by in (
         (last, before), (away, -0.5)))
     follow(made, stamps, tool, body[0], at_once(stamps[:away + 1], seen))
-    assert (made.counts['gate'], made.counts['out_of_reach']) == (len(causes), 1)
+    assert (made.counts['outlier'], made.counts['out_of_reach']) == (len(causes), 1)
     assert [alarm.kind for alarm in made.alarms] == causes
 
 

@@ -52,7 +52,7 @@ def test_no_state_leaves_its_range(parameters, noise):
             assert is_possible(estimate.body, estimate.theta, largest)
         assert observer.max_step >= observer._correction.max_step / 30.0
         assert np.isfinite(live.latest.position).all()
-    assert sum(observer.counts[name] for name in ('gate', 'out_of_reach', 'recovered')) > 0
+    assert sum(observer.counts[name] for name in ('outlier', 'out_of_reach', 'recovered')) > 0
 
 
 def test_each_row_has_a_range():
