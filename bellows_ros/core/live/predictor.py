@@ -393,7 +393,7 @@ class LivePredictor:
         """Drop the package's state and waiting messages, but not the frame."""
         self.package.forget(kept)
         self.latest, self._unsafe_ns, self._moved_ns = None, -1, -STOPPED_NS
-        self._begun_ns = None
+        self._begun_ns = self._resting = None
         self.tool.forget()
 
     # ------------------------------------------------------ valve, vacuum, loss
@@ -618,7 +618,7 @@ class LivePredictor:
         before, now = self.tool.motion.states(pose, twist, self.package.sample)
         if is_moving(now):
             self._moved_ns = pose.stamp_ns
-        else:
+        elif before or twist:  # the first pose alone has no speed
             self._resting = now[1]
         if self._cycle.follows:
             self._on_tool(pose.stamp_ns, pose.position)

@@ -45,7 +45,7 @@ MAX_STAMP_NS = 2**31 * NS_PER_S
 """End of the stamps of a header, whose seconds have 32 bits, ns."""
 
 NEW_FRAME_NS = 150_000_000
-"""Time without a pose in the accepted frame after which another frame is accepted, ns."""
+"""Time of poses in another frame alone after which this frame is accepted, ns."""
 
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
@@ -219,7 +219,7 @@ class Screen(StampScreen):
             self.frame = frame_id or self.frame
             self._last = Reference(stamp_ns, position, quaternion_xyzw, self.period_ns / NS_PER_S,
                                    self._velocity, self._rate)
-            self._elsewhere, self._run = None, 0
+            self._elsewhere, self._run, self._foreign_ns = None, 0, -1
         return reason
 
     def _judge(
@@ -232,12 +232,11 @@ class Screen(StampScreen):
             return 'zero_stamp'
         if stamp_ns >= MAX_STAMP_NS:
             return 'future_stamp'
-        pause_ns, reason = stamp_ns - self.newest_ns, self.judge_stamp(stamp_ns, arrival_ns)
-        if reason in REFUSALS:
-            return reason
         if frame_id != self.frame and not same_frame(self.frame, frame_id):
-            return 'frame_id' if 0 < pause_ns < NEW_FRAME_NS else 'frame_changed'
-        return reason or self._judge_place(stamp_ns, o, q)
+            if not 0 <= self._foreign_ns <= stamp_ns:
+                self._foreign_ns = stamp_ns
+            return 'frame_id' if stamp_ns - self._foreign_ns < NEW_FRAME_NS else 'frame_changed'
+        return self.judge_stamp(stamp_ns, arrival_ns) or self._judge_place(stamp_ns, o, q)
 
     def _judge_place(self, stamp_ns: int, o: Vector, q: Quaternion) -> str:
         """Reject distant poses, unless they are consistent with each other for some time."""

@@ -300,6 +300,8 @@ class Observer:
             self._predict_from(self._correction.released(self._estimates[-1]))
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
+        if self._estimates[-1].away_ns > 0 and not self._has_left:
+            self._note_silence(stamp_ns)
         return prediction
 
     @property
@@ -467,6 +469,15 @@ class Observer:
         self._raise(alarms.deviation(seen, seen.z, estimate.away_ns) if self._is_held
                     else Alarm(stamp_ns, LOST, estimate.away_ns))
         return estimate._replace(away_ns=-1)
+
+    def _note_silence(self, stamp_ns: int) -> None:
+        """Detect a camera without poses after the package has left its reach."""
+        last, last_ns = self._estimates[-1], self._last_ns[-1]
+        if stamp_ns - last_ns <= self._camera_silence_ns:
+            return
+        is_wrong_pose = bool(self._is_held) and last_ns - last.away_ns < LOST_AFTER_NS
+        self._estimates[-1] = last._replace(away_ns=0) if is_wrong_pose else (
+            self._judged_away(last, stamp_ns))
 
     def _may_fall(self, stamp_ns: int) -> bool:
         """Return whether a fall may explain the recent poses; raise an alarm if it is certain."""

@@ -65,6 +65,8 @@ def validate(name: str, value: object) -> Value:
 
     """
     parameter = table.lookup(name)
+    if isinstance(value, np.ndarray | array):
+        value = np.ravel(value).tolist()
     if name in POSE_PARAMETERS:
         value = _pose(parameter, value, name == POSE_PARAMETERS[0])
     normal = convert(parameter, value)
@@ -129,8 +131,6 @@ def convert(parameter: Parameter, value: object) -> Value:
 
     """
     is_list = parameter.kind.endswith('_array')
-    if isinstance(value, np.ndarray | array):
-        value = np.ravel(value).tolist()
     if isinstance(value, str) and parameter.kind == 'double_array':
         with suppress(ValueError):  # a list of 0 and 0.5 by `ros2 param set`
             value = [float(part) for part in value.strip('[] ').split(',')]

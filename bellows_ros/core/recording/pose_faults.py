@@ -300,8 +300,9 @@ def noise_of(body: Trajectory) -> Array:
 
 def wrong_conventions(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield positions in millimetres, and quaternions that explain non-rigid motion."""
+    is_near = poses.one_frame and poses.bodies and distance_of(poses.bodies)[0] < MAX_REACH
     wrong = [body for body, stream in (('tool', poses.tool), ('package', poses.package))
-             if in_millimetres(stream.trajectory())]
+             if not is_near and in_millimetres(stream.trajectory())]
     yield from (Finding('millimetres', Level.ERROR, topic=body) for body in wrong)
     if poses.one_frame and poses.bodies and not wrong and (
             body := wrong_order(poses.bodies)):

@@ -109,6 +109,16 @@ def test_new_frame_or_place_is_accepted_if_no_other_message_comes(period_ns, cou
     assert driver.screen.frame == now.get('frame', 'base')
 
 
+@pytest.mark.parametrize('offset_ns', [-1000 * MS, 0, 200 * MS, 1000 * MS])
+def test_another_frame_never_takes_over_beside_the_tool(offset_ns):
+    """Of a second arm, whose clock is another: neither its poses nor its stamps count."""
+    driver = Driver()
+    for _ in range(200):
+        assert driver.send(1, frame='map', offset_ns=offset_ns) == ['frame_id']
+        driver.k -= 1
+        assert driver.send(1) == [GOOD]
+
+
 def test_tool_that_comes_to_rest_may_repeat_its_pose():
     screen, o, v = Screen(), 0.0, 0.5
     for k in range(200):  # stops with 5 m/s^2, as arms do

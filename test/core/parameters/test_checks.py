@@ -85,6 +85,7 @@ def test_an_unknown_name_is_shown_shortened_and_printable():
     ('package.mass', 2, 2.0), ('package.mass', np.float32(2.5), 2.5),
     ('package.com', np.array([0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
     ('package.com', array('d', [0.0, 0.1, -0.2]), (0.0, 0.1, -0.2)),
+    ('wrench.frame', np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0]) / 2.0, '0 0 0 0 0 0 1'),
     ('recording.align_at_rest', True, True),
     ('bags', ['a', 'b'], ('a', 'b')), ('topics.tool_twist', '', ''),
     ('cup.damping', [0] * 36, (0.0,) * 36)])

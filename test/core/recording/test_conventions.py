@@ -75,6 +75,14 @@ def test_millimetres_of_another_world_are_seen_by_how_far_both_move(millimetres)
     assert faults(tool, apart) == ({('millimetres', 'package')} if millimetres else set())
 
 
+def test_a_base_that_drives_far_is_in_metres():
+    tool, package = streams(*ALL[:1] * 2)
+    driven = [replace(body, position=body.position + np.outer(
+        5e-9 * (body.stamps_ns - tool.stamps_ns[0]), [1.0, 0.0, 0.0])) for body in (tool, package)]
+    assert np.ptp(driven[0].position[:, 0]) > 25.0
+    assert not faults(*driven)
+
+
 @pytest.mark.parametrize('seed', [17, 108, 146, 165])
 def test_poses_of_two_worlds_are_of_no_other_convention(seed):
     """Although with quaternions of another order the package would happen to hang nearly."""
