@@ -75,7 +75,11 @@ def run(folder: Path, out: Path) -> int:
     topics = {bags.absolute(given[each]): topic for each, topic in TOPICS.items()}
     rows = [(topics[name], log_ns, data)
             for name, log_ns, data in bags.read_messages(validated, topics)]
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BellowsError(f"Output folder '{out}' cannot be created: {error.strerror}. Give "
+                           'another with --out.') from None
     print(f'1. Identify the cup from {fitted} (compiles once a version, about a minute)',
           flush=True)
     result = identify.identify(given)
@@ -176,10 +180,11 @@ def _play(
 
     node.create_subscription(PoseStamped, 'package/pose', receive, QUEUE, raw=True)
 
-    def wait(is_done: Callable[[], bool]) -> None:
+    def wait(is_done: Callable[[], bool]) -> bool:
         deadline = time.monotonic() + TIMEOUT
-        while not is_done() and is_running() and time.monotonic() < deadline:
+        while not (done := is_done()) and is_running() and time.monotonic() < deadline:
             executor.spin_once(timeout_sec=PERIOD)
+        return done
 
     still_ns, at_rest = rows[0][1] - 3600 * NS_PER_S, (6 * [0.0], [*(6 * [0.0]), 1.0])
 
@@ -191,10 +196,10 @@ def _play(
             writer.publish(messages.pack(kind, ('world',), still_ns, *numbers))
         return bool(answers)
 
-    wait(lambda: reset.service_is_ready() and all(
-        each.get_subscription_count() for each in writers.values()))
-    wait(stand_still)
-    wait(reset.call_async(Trigger.Request()).done)
+    if not (wait(lambda: reset.service_is_ready() and all(
+            each.get_subscription_count() for each in writers.values()))
+            and wait(stand_still) and wait(reset.call_async(Trigger.Request()).done)):
+        return []
     ahead_ns = time.monotonic_ns() - rows[0][1]
     for name, log_ns, data in rows:
         while (left_ns := log_ns + ahead_ns - time.monotonic_ns()) > 0:

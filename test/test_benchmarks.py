@@ -41,8 +41,8 @@ def test_a_cup_of_the_law_is_explained_wholly_and_found_from_wrenches_at_rest():
 
 @pytest.mark.parametrize(('sensors', 'seed', 'seconds', 'structure'), [
     ('robot, 30 Hz camera, 1 mm, apart', 2, 30.0, 'axisymmetric'),
-    pytest.param('motion capture, 0.3 mm', 0, 8.0, 'full', marks=pytest.mark.xfail(reason=(
-        'one P of 36 numbers is off by 3.6 standard errors')))])
+    pytest.param('motion capture, 0.3 mm', 0, 8.0, 'full', marks=pytest.mark.xfail(
+        strict=False, reason='one P of 36 numbers is off by 3.5 standard errors, or 3.6'))])
 def test_all_estimates_are_printed_with_their_errors(sensors, seed, seconds, structure):
     """From a start twice too large."""
     found = trial(CELLS[sensors], seed, seconds, structure)

@@ -54,6 +54,11 @@ def test_every_message_is_answered_within_the_noise(outcome):
         assert float(value) < LARGEST_ERROR[unit]
 
 
+def test_a_folder_that_cannot_be_made_is_reported(root, capsys):
+    assert main(['--bags', str(root / 'bags'), '--out', str(root / 'setup.py')]) == 2
+    assert '--out' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize('missing', ['validation', 'package.yaml'])
 def test_a_missing_recording_is_reported(missing, root, tmp_path, capsys):
     """End with 2 and say what is not there, before anything is made."""

@@ -133,9 +133,9 @@ def require_outputs(named: Iterable[Any], force: bool = False) -> None:
     if [type(name) for name in outputs if name == STDOUT] not in ([], [Output]):
         raise BellowsError(f"'{STDOUT}' is stdout, which has room for one output, of text. Give "
                            'the others, and recordings and pictures, a name.')
-    taken = [_without_links(name) for name in named if isinstance(name, Path)]
-    taken = [each.parent if (each.parent / 'metadata.yaml').exists() else each  # of a recording
-             for each in taken]
+    taken = [Path(os.path.realpath(name)) for name in named if isinstance(name, Path)]
+    taken = [each.parent if os.path.exists(each.parent / 'metadata.yaml') else each
+             for each in taken]  # of a recording
     for name in outputs:
         if name != STDOUT:
             target = _without_links(name)

@@ -2,9 +2,7 @@
 The codec of frequent messages, for recordings and topics, and their conversion to streams.
 
 Frequent messages consist of a header, one or two frame names, and a fixed row of doubles, in CDR.
-Messages with equal first bytes and names therefore form one array in memory. Recordings are
-decoded as arrays (`decode`, `encode`), messages of topics one at a time (`Decoder`, `pack`); both
-use `LAYOUTS`.
+They are decoded by `Decoder` and written by `pack`, as `LAYOUTS` describes.
 
 Unusable messages are omitted from a stream, and counted by reason.
 """

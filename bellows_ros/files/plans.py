@@ -288,19 +288,20 @@ def recorded_joints(path: File, arm: Arm) -> Plan:
         If there are no joint states, or they lack a joint of the arm.
 
     """
-    messages = [message for _, _, message in _recorded(path, (STATES,))]
-    names = next((m.name for m in messages if set(arm.moving) <= set(m.name)),
-                 messages[0].name if messages else ())
-    columns = arm.columns(names, f"Joint states in '{path}'")
-    states = {ns_of(m.header.stamp): m for m in reversed(messages)  # the first of equal stamps
-              if m.name == names and len(m.position) == len(names)}
+    messages, where = [m for _, _, m in _recorded(path, (STATES,))], f"Joint states in '{path}'"
+    whole = [m for m in messages if set(arm.moving) <= set(m.name)]
+    arm.columns((whole or messages)[0].name if messages else (), where)
+    states = {ns_of(m.header.stamp): m for m in reversed(whole)  # the first of equal stamps
+              if len(m.position) == len(m.name)}
     if not states:
         raise BellowsError(f"Joint states in '{path}' have no positions. Record them.")
     stamps = np.array(sorted(states))
     useful = [states[stamp] for stamp in stamps.tolist()]
-    velocity = np.array([m.velocity for m in useful])[:, columns] if all(
-        len(m.velocity) == len(names) for m in useful) else None
-    T, twist = arm.tool(np.array([m.position for m in useful])[:, columns], velocity)
+    columns = [arm.columns(m.name, where) for m in useful]
+    position = np.array([m.position[own] for m, own in zip(useful, columns, strict=True)])
+    velocity = np.array([m.velocity[own] for m, own in zip(useful, columns, strict=True)]) if all(
+        len(m.velocity) == len(m.name) for m in useful) else None
+    T, twist = arm.tool(position, velocity)
     poses = np.hstack([T[:, :3, 3], lie.rotation_to_quaternion(T[:, :3, :3])])
     return Plan(MULTI_DOF, int(stamps[0]), arm.root, ('tool',), stamps - stamps[0], poses,
                 None if velocity is None else twist)

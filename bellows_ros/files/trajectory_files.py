@@ -163,6 +163,6 @@ def _settings(path: File, row: Sequence[str]) -> tuple[float, int]:
         day, hour, minute, second, half = start.groups()
         hours = int(hour) % 12 + 12 * (half.upper() == 'P') if half else int(hour)
         with suppress(ValueError):
-            start_ns = int(np.datetime64(
-                f'{day}T{hours:02}:{minute:0>2}:{second.replace(",", "."):0>2}', 'ns').astype(int))
+            start_ns = int(np.datetime64(f'{day}T{hours:02}:{minute:0>2}', 'ns').astype(int)) + (
+                round(float(second.replace(',', '.')) * NS_PER_S))
     return SETTINGS['Length Units'][about['Length Units']], start_ns

@@ -115,11 +115,12 @@ class GuardedNode(Node):
         place = place or f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
         if self.failures[place] == 1:
-            self.get_logger().error(
-                f'A callback failed at {place}: {type(error).__name__}: {shown(str(error))}. The '
-                'node continues, and only counts further failures there. Please report it, with '
-                'the traceback from --log-level debug.')
-            self.get_logger().debug(''.join(traceback.format_exception(error)))
+            with suppress(Exception):  # a log never ends a callback
+                self.get_logger().error(
+                    f'A callback failed at {place}: {type(error).__name__}: {shown(str(error))}. '
+                    'The node continues, and only counts further failures there. Please report '
+                    'it, with the traceback from --log-level debug.')
+                self.get_logger().debug(''.join(traceback.format_exception(error)))
 
     def note_frame(self, frame_id: str, topic: str, meaning: str) -> None:
         """Warn once about messages without a frame."""

@@ -275,7 +275,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(
             DiagnosticArray, '/diagnostics', QoSProfile(depth=10),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        self._due: dict[tuple[str, str], float] = {}
+        self._due: dict[tuple[str, str, int], float] = {}
 
     def report(self) -> None:
         """Publish all lines, and log their faults."""
@@ -332,12 +332,13 @@ class Diagnostics:
     def _log(self, line: health.Status) -> None:
         """Log a fault of a line, again only at intervals; silence only if it persists."""
         now, code = time.monotonic(), line.finding.code
+        key = line.name, code, line.level
         if line.level == Level.OK:
             self._due = {key: due for key, due in self._due.items() if key[0] != line.name}
         elif code in UNLOGGED or not (line.name in LOGGED or code == 'publishers'):
             return
-        elif now >= self._due.setdefault((line.name, code), now + LOG_DELAY * (code == 'silent')):
-            self._due[line.name, code] = now + LOG_INTERVAL
+        elif now >= self._due.setdefault(key, now + LOG_DELAY * (code == 'silent')):
+            self._due[key] = now + LOG_INTERVAL
             if line.level == Level.ERROR and line.name in ('prediction', 'load'):
                 self._node.get_logger().error(shown(line.message, MAX_MESSAGE))
             else:  # another line of code, as rclpy rejects a second severity from one

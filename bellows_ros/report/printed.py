@@ -177,7 +177,8 @@ def print_plan(report: PlanReport, out: Any) -> None:
     if report.sought:
         scale, std = report.fastest[::3] if report.fastest else (math.nan, math.nan)
         rows.append(('shortest safe time', quantity(
-            scale * source.duration, std * source.duration, 's'), f"{scale:.3f} of the plan's"))
+            scale * source.duration, std * source.duration, 's'),
+            f"{scale:.3f} of the plan's" if report.fastest else 'none'))
     out.table(rows)
     if report.moves[1:]:
         out.table([('move', 'from', 'to', 'least safety factor'), *(

@@ -306,7 +306,7 @@ class Identification(CommandResult):
             numbers = value.split() if isinstance(value, str) else np.ravel(value)
             yield Finding('estimated', Level.OK, {
                 'values': ', '.join(f'{float(x):.5g}' for x in numbers),
-                'errors': ', '.join(f'{x:.2g}' for x in np.ravel(std)),
+                'errors': ', '.join(f'{x:.2g}' if x < np.inf else '-' for x in np.ravel(std)),
                 'unit': f' {unit}' * (unit != '1')}, name)
 
     @cached_property

@@ -385,13 +385,14 @@ def cause_finding(cause: Cause, given: Given) -> Finding:
         return Finding('length', Level.WARN, {'offset': abs(theta[-1])})
     if name == 'package.files':
         return Finding('differs', Level.WARN, {
-            'off': 'in the other order', 'found': cause.value, 'share': share}, name)
+            'off': cause.value, 'found': 'the other order', 'share': share}, name)
     if name in CORRECTED:
         topic, unit, factor = CORRECTED[name]
         sizes = ', '.join(f'{factor * abs(x):.3g} ± {factor * s:.2g} {unit}' for x, s in zip(
             theta, std, strict=True) if abs(x) > SIGMAS * s) or 'little'
         return Finding('differs', Level.WARN, {
-            'off': f'off by {sizes}', 'found': _corrected(cause, given), 'share': share}, topic)
+            'off': f'off by {sizes}' + ', if package.mass is right' * (name == 'inertia'),
+            'found': _corrected(cause, given), 'share': share}, topic)
     numbers: dict[str, Any] = {'share': share}
     if theta:
         numbers |= {
@@ -421,8 +422,7 @@ def _corrected(cause: Cause, given: Given) -> str:
         before = np.array(given[topic][:3])
         moments = before * np.exp(cause.theta)
         order = order_of(before, moments)
-        return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2 if package.mass is right' + (
-            order and f'; {order}')
+        return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2' + (order and f'; {order}')
     if topic == 'gravity.direction':
         doubt = '; or a hose or cable pulls at the package' * (cause.instead == 'force')
         down = lie.exp_so3(np.append(-cause.theta, 0.0)) @ alignment.DOWN

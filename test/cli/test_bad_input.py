@@ -65,6 +65,7 @@ def cell(workshop, tmp_path_factory):
         **KNOWN, 'bags': ['recording'], 'static.bags': ['recording']})
     (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
     (folder / 'link').symlink_to('recording')
+    (folder / 'loop').symlink_to('loop')
     (folder / 'sources').mkdir()
     shutil.copy(folder / 'poses.tum', folder / 'sources')
     write_bad_bags(folder)
@@ -97,7 +98,8 @@ UNWRITABLE = [
 ]
 UNREADABLE = [
     ('identify CELL', 'bags'),
-    ('info none --write-params new.yaml', "'none'"), ('identify bad.mcap CELL', "'bad.mcap'"),
+    ('info none --write-params new.yaml', "'none'"), ('info loop', "'loop' ... exist"),
+    ('identify bad.mcap CELL', "'bad.mcap'"),
     ('identify other CELL', "'/tool_arm/pose' ... /arm/pose, /box/pose ... topics.tool_pose"),
     ('identify twists CELL', f"'/tool_arm/pose' ... {TWIST} ... {POSE}"),
     ('identify apart CELL', '/package/pose ... 60'),

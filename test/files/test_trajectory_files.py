@@ -108,6 +108,7 @@ V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.0
 
 @pytest.mark.parametrize(('settings', 'timecode', 'start'), [
     (V22, False, '2018-10-05T00:05:03.445'),
+    (V22.replace('03.445', '3.445'), False, '2018-10-05T00:05:03.445'),
     (V24.replace('1.24', '1.23'), False, '2023-06-02T12:09:45.344'),
     (V24, True, '2023-06-02T12:09:45.344'),
     (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344')])

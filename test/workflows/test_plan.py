@@ -107,8 +107,11 @@ def upright(urdf):
 def joint_recording(folder):
     """Write a recording with a robot description and joint states, and none of the tool."""
     times, position, velocity = joints()
-    states = [(header(T0 + at, ''), ['slide', 'turn', 'spin'], q[[1, 0, 2]], v[[1, 0, 2]], [])
-              for at, q, v in zip(times, position, velocity, strict=True)]
+    orders = [0, 1, 2], [1, 0, 2]  # of two drivers
+    states = [(header(T0 + at, ''), [('turn', 'slide', 'spin')[k] for k in order], q[order],
+               v[order], []) for at, q, v, order in zip(
+                   times, position, velocity, [orders[k % 3 > 0] for k in range(len(times))],
+                   strict=True)]
     write_bag(folder, [
         Encoded('/robot_description', DESCRIPTION, np.array([T0]),
                 [serialized(DESCRIPTION, (upright(URDF),))]),
