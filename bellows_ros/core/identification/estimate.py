@@ -64,7 +64,8 @@ TOLERANCES = 3.0, 3e-3
 some and by 5 % of a standard error."""
 
 LOOSE_TOLERANCE = 0.1
-"""Largest squared length of the last step, as barely identifiable numbers keep oscillating."""
+"""Largest squared length of the last step, as barely identifiable numbers keep oscillating, in
+standard errors by the colour of the residuals, which the misfit of rubber has."""
 
 MAX_SMALL_RISE = 1.001
 """Ratio of two Huber's sums in the first stage that are equal, as priors may raise it a little."""
@@ -382,7 +383,7 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         history = [*history, (step, new.theta - at.theta)][-ANDERSON_DEPTH:]
         at, damping = new, 0.1 * damping if damping > MIN_STEP_DAMPING else 0.0
         report(at.cup, at.squares / at.residual_count)
-    return replace(best, converged=least < LOOSE_TOLERANCE)
+    return replace(best, converged=least < LOOSE_TOLERANCE * best.colour)
 
 
 def renewed(at: Solution, with_noise: bool = True) -> tuple[Held, bool]:
