@@ -6,7 +6,7 @@ recorded speed, and reports the errors of the predicted poses.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 import signal
 import subprocess
@@ -172,7 +172,7 @@ def _play(
     executor.add_node(node)
     kinds = dict(zip(TOPICS.values(), (TwistStamped, PoseStamped), strict=True))
     writers = {name: node.create_publisher(kind, name, QUEUE) for name, kind in kinds.items()}
-    answers, sent = dict[bytes, tuple[int, bytes]](), dict[bytes, int]()  # by their stamps
+    answers = dict[bytes, tuple[int, bytes]]()  # by their stamps
     reset = node.create_client(Trigger, 'predictor/reset')
 
     def receive(data: Any) -> None:
@@ -200,16 +200,22 @@ def _play(
             each.get_subscription_count() for each in writers.values()))
             and wait(stand_still) and wait(reset.call_async(Trigger.Request()).done)):
         return []
+    sent = _sent(rows, writers, executor)
+    return [(sent_ns, *answers[stamp]) for stamp, sent_ns in sent.items()] if wait(
+        lambda: sent.keys() <= answers.keys()) else []
+
+
+def _sent(rows: Rows, writers: Mapping[str, Any], executor: Any) -> dict[bytes, int]:
+    """Send messages in time; return the times (ns) at which the poses were sent, by stamp."""
+    sent, (_, of_poses) = dict[bytes, int](), TOPICS.values()
     ahead_ns = time.monotonic_ns() - rows[0][1]
     for name, log_ns, data in rows:
         while (left_ns := log_ns + ahead_ns - time.monotonic_ns()) > 0:
             executor.spin_once(timeout_sec=left_ns / NS_PER_S)
-        if kinds[name] is PoseStamped:
+        if name == of_poses:
             sent[data[4:12]] = time.monotonic_ns()
         writers[name].publish(data)
-    wait(lambda: sent.keys() <= answers.keys())
-    return [(sent_ns, *answers[stamp]) for stamp, sent_ns in sent.items()] if (
-        sent.keys() <= answers.keys()) else []
+    return sent
 
 
 if __name__ == '__main__':
