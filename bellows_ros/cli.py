@@ -447,7 +447,7 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
 
     Read on: docs/before_it_moves.md
     """
-    from bellows_ros.report.printed import print_plan, print_steered
+    from bellows_ros.report.printed import print_plan
     from bellows_ros.workflows import plan as workflow
 
     if arguments.steer and arguments.fastest:
@@ -456,14 +456,15 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
     console.progress('planning')
     more = {'urdf': str(arguments.urdf or ''), 'topic': arguments.topic,
             'limits': arguments.limits or ''}
-    result: Any = workflow.steer_plan(
+    result = workflow.steer_plan(
         arguments.plan, values, arguments.steer, **more) if (
         arguments.steer) else workflow.plan(
             arguments.plan, values, seek_fastest=arguments.fastest, **more)
     if arguments.out:
-        tool, states = result.driven
-        workflow.write_prediction(arguments.out, result.source, tool, states, arguments.force)
-    return Outcome(partial(print_steered if arguments.steer else print_plan, result), result)
+        workflow.write_prediction(
+            arguments.out, result.source, result.result.source.tool, result.prediction.states,
+            arguments.force)
+    return Outcome(partial(print_plan, result), result)
 
 
 @command(

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
-    from bellows_ros.workflows.plan import MotionSource, PlanReport, SteerReport
+    from bellows_ros.workflows.plan import MotionSource, PlanReport
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.toss import TossResult
 
@@ -340,8 +340,8 @@ def plan(
     Returns
     -------
     PlanReport
-        It has prediction, std, warnings and holds; `plot()` draws it and `to_json(path)` writes
-        it.
+        It has prediction, warnings and succeeded, whether the cup holds; `plot()` draws it and
+        `to_json(path)` writes it.
 
     Raises
     ------
@@ -351,7 +351,7 @@ def plan(
     Examples
     --------
     >>> result = bellows_ros.plan('bags/transport.yaml', 'bags/tossing.yaml')
-    >>> result.holds
+    >>> result.succeeded
     True
 
     """
@@ -369,13 +369,14 @@ def fastest(
     Returns
     -------
     PlanReport
-        As in `plan`; `fastest.scale` is the ratio of the shortest time to the motion's own time,
-        and `driven` the motion in the shortest time. `fastest` is None if no time is safe.
+        As in `plan`, of the motion in the shortest time; `fastest.scale` is the ratio of the
+        shortest time to the motion's own time.
 
     Raises
     ------
     BellowsError
-        As in `plan`; or if the grip is unknown, or the motion is not from rest to rest.
+        As in `plan`; or if the grip is unknown, the motion is not from rest to rest, or no time
+        is safe.
 
     Examples
     --------
@@ -393,7 +394,7 @@ def fastest(
 def steer(
     motion: MotionSource, parameters: Parameters, method: str = 'zvd',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
-) -> SteerReport:
+) -> PlanReport:
     """
     Change a motion so that the package does not swing, as `bellows plan --steer`.
 
@@ -408,8 +409,8 @@ def steer(
 
     Returns
     -------
-    SteerReport
-        It has steered.tool, the new motion; motions; `plot()` and `to_json(path)`.
+    PlanReport
+        As in `plan`, of the steered motion, steered.tool; `motions` has both motions by name.
 
     Raises
     ------

@@ -194,14 +194,14 @@ def replay_figure(result: Any) -> Any:
 
 def plan_figure(report: Any) -> Any:
     """Draw package and grip along a plan, with bands of two standard deviations."""
-    (t, tool, values, std), least = report.curves, report.least
-    seen = values[:, :3] - tool
+    motion, (name, *_) = report.result, report.motions
+    (t, tool, values, std), least = motion.curves, report.source.values.safety.least
+    seen, duration, (begin, end) = values[:, :3] - tool, motion.source.duration, motion.drawn
     unknown = ': set cup.lip_radius, vacuum.holding' * (report.prediction.grip is None)
-    note = f'{report.source.path}; dashed: safety.least; red area: the cup lets go'
-    begin, end = report.drawn
-    if end < report.source.duration:
-        note = f'{note}; the worst {end - begin:.0f} of {report.source.duration:.0f} s'
-    note += '; dotted: end of the plan' * (end > report.source.duration)
+    note = f'{report.source.path}, {name}; dashed: safety.least; red area: the cup lets go'
+    if end < duration:
+        note = f'{note}; the worst {end - begin:.0f} of {duration:.0f} s'
+    note += '; dotted: end of the plan' * (end > duration)
     note += '; bands: two standard deviations' * bool(std.any())
     t, values, std, seen, tool = (rows[(t >= begin) & (t <= end)] for rows in (
         t, values, std, seen, tool))
@@ -226,29 +226,11 @@ def plan_figure(report: Any) -> Any:
                 panel.plot(t, value, color=colour, linewidth=1.2, label=name)
             panel.set_title(title)
             panel.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=4)
-            panel.axvline(report.source.duration, color=QUIET, linewidth=0.8, linestyle=':')
+            panel.axvline(duration, color=QUIET, linewidth=0.8, linestyle=':')
             panel.set_xlim(t[0], t[-1])
         panels[1].set_ylim(0.0, MAX_FACTOR * least)
         for panel in panels[-2:]:
             panel.set_xlabel('time (s)')
-    return figure
-
-
-def steer_figure(report: Any) -> Any:
-    """Draw the bending of the cup and the path length of the tool in several motions."""
-    from bellows_ros.workflows.plan import bending
-
-    with picture('The motion as planned and steered', report.source.path) as figure:
-        tilts, paths = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
-        for (name, (tool, package)), colour in zip(
-                report.scenes().items(), THREE, strict=False):
-            tilts.plot(tool.seconds, np.degrees(bending(tool.rotation, package.rotation)),
-                       color=colour, label=name)
-            paths.plot(tool.seconds, np.linalg.norm(tool.position - tool.position[0], axis=1),
-                       color=colour)
-        tilts.set_title('bending of the cup (deg)')
-        tilts.legend()
-        paths.set(title='distance of the tool from its start (m)', xlabel='time (s)')
     return figure
 
 
@@ -379,5 +361,5 @@ def _bodies(panel: Any, scene: Scene, t: float) -> list[Any]:
 
 DRAWINGS: Mapping[str, tuple[Callable[[Any], Any], Callable[[Any], Iterator[Scene]]]] = {
     'Replay': (replay_figure, replay_scenes), 'PlanReport': (plan_figure, plan_scenes),
-    'SteerReport': (steer_figure, plan_scenes), 'TossResult': (toss_figure, plan_scenes)}
+    'TossResult': (toss_figure, plan_scenes)}
 """Functions that draw a result of a type: its figure, and the scenes of its animation."""

@@ -23,7 +23,7 @@ from .text import DISPLAYED, formatted, quantity
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
-    from bellows_ros.workflows.plan import PlanReport, SteerReport
+    from bellows_ros.workflows.plan import Motion, PlanReport
     from bellows_ros.workflows.simulate import SimulationReport
     from bellows_ros.workflows.toss import ReleaseResult, TossResult
 
@@ -36,15 +36,11 @@ UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_
 """Quantities that a recording does not contain: comments of the file, to fill in."""
 
 FIGURES = {
-    'duration': ('duration', 's'), 'added_time': ('longer by', 's'),
+    'duration': ('duration', 's'),
     'smallest_safety_factor': ('smallest safety factor', ''),
     'peak_bending': ('largest bending', 'deg'), 'peak_deflection': ('largest deflection', 'mm'),
     'peak_force': ('largest force', 'N'), 'peak_moment': ('largest moment', 'N m'),
-    'swing_left': ('residual swing', 'deg'),
-    'expected_swing': ('with the errors of the cup', 'deg'),
-    'settled_after': ('settled after the stop', 's'),
-    'speed': ('speed', 'm/s'), 'acceleration': ('acceleration', 'm/s^2'),
-    'angular_speed': ('angular speed', 'deg/s')}
+    'swing_left': ('residual swing', 'deg'), 'settled_after': ('settled after the stop', 's')}
 """Printed names and units of the numbers of a plan."""
 
 
@@ -163,27 +159,19 @@ def print_release(result: ReleaseResult, out: Any) -> None:
 
 
 def print_plan(report: PlanReport, out: Any) -> None:
-    """Print the numbers and their meaning."""
-    source, prediction = report.source, report.prediction
+    """Print the effects of the motions, the moves, the used parts of limits, and findings."""
+    source, motions, result = report.source, report.motions, report.result
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     out.line(f'Plan {source.path}', 'bold')
     out.line(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
-    _, mode, time = prediction.smallest_safety
-    remarks = {'smallest_safety_factor': f'{mode}, at {time:.3f} s'}
-    rows = [(FIGURES[name][0], quantity(value, report.std[name], FIGURES[name][1]),
-             remarks.get(name, ''))
-            for name, value in prediction.summary().items()
-            if name in FIGURES and not math.isnan(value)]
-    if report.sought:
-        scale, std = report.fastest[::3] if report.fastest else (math.nan, math.nan)
-        rows.append(('shortest safe time', quantity(
-            scale * source.duration, std * source.duration, 's'),
-            f"{scale:.3f} of the plan's" if report.fastest else 'none'))
-    out.table(rows)
-    if report.moves[1:]:
+    out.table([('', *motions), *(
+        (label, *(_figure(motion, name, unit) for motion in motions.values()))
+        for name, (label, unit) in FIGURES.items()
+        if not all(math.isnan(motion.summary()[name]) for motion in motions.values()))])
+    if result.moves[1:]:
         out.table([('move', 'from', 'to', 'least safety factor'), *(
             (f'{number}', f'{begin:.2f} s', f'{end:.2f} s', f'{factor:.2f}')
-            for number, (begin, end, factor) in enumerate(report.moves, 1))], right=True)
+            for number, (begin, end, factor) in enumerate(result.moves, 1))], right=True)
     if report.used:
         out.table([('limit', 'used'), *(
             (name, f'{100.0 * part:.0f} %') for name, part in report.used.items())], right=True)
@@ -195,14 +183,13 @@ def print_plan(report: PlanReport, out: Any) -> None:
             '. The validity range of the cup is unknown.'), 'green')
 
 
-def print_steered(report: SteerReport, out: Any) -> None:
-    """Print the effects of the motions."""
-    out.line(f'Plan {report.source.path}, steered by {report.method}', 'bold')
-    each = [motion.summary() for motion in report.motions.values()]
-    out.table([('', *report.motions), *(
-        (label, *(quantity(figures[name], 0.0, unit) for figures in each))
-        for name, (label, unit) in FIGURES.items() if name in each[0])])
-    out.paragraph(*map(text_of, report.findings))
+def _figure(motion: Motion, name: str, unit: str) -> str:
+    """Return a number of a motion with its standard deviation; of the grip, when and how."""
+    found = quantity(motion.summary()[name], motion.std[name], unit)
+    if name != 'smallest_safety_factor':
+        return found
+    _, mode, time = motion.prediction.smallest_safety
+    return f'{found} ({mode}, at {time:.3f} s)'
 
 
 def print_toss(result: TossResult, out: Any) -> None:
@@ -225,8 +212,9 @@ def print_toss(result: TossResult, out: Any) -> None:
           for axis, x, error in zip('xy', toss.landing[0], std, strict=False)),
         ('turned by', f'± {math.degrees(float(np.linalg.norm(std[3:]))):.2g} deg', ''),
         ('tumbling at', quantity(toss.tumbling, 0.0, 'deg/s'), ''),
-        *([('target away', quantity(aim.distance, 0.0, 'mm'), gain),
-           ('turned from target', quantity(aim.angle, 0.0, 'deg'), '')] if aim else ())],
+        *([('target away', quantity(aim.distance, 0.0, 'mm'), gain)] if aim else ()),
+        *([('turned from target', quantity(aim.angle, 0.0, 'deg'), '')]
+          if aim and aim.angle else ())],
         title='Toss')
     _print_budget(result, out)
     out.warn(*result.warnings)

@@ -1,8 +1,13 @@
-"""Prediction of a planned motion with its uncertainty, and the motion without swing."""
+"""
+Prediction of planned motions with uncertainty: as planned, in the shortest safe time, or steered.
+
+A plan is read as a `Source`. A `PlanReport` has the `Motion` that answers a request, and the plan
+as it is, each with its effect on the package.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 import os
@@ -22,7 +27,6 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning import steering
 from bellows_ros.core.planning.limits import (
-    demands,
     Fastest,
     fastest,
     first_allowed,
@@ -42,9 +46,15 @@ from bellows_ros.core.planning.points import (
 from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals import resampling, savgol, trajectory
-from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, PoseStream, Trajectory
+from bellows_ros.core.signals.trajectory import (
+    at_tip,
+    NS_PER_S,
+    PoseStream,
+    Trajectory,
+    TwistStream,
+)
 from bellows_ros.core.synthetic.recipe import read_recipe, START_NS
-from bellows_ros.errors import BellowsError, require_types, UnstableError
+from bellows_ros.errors import BellowsError, require_types, UndeterminedError, UnstableError
 from bellows_ros.files import bags, File, plans, results, safe_yaml
 from bellows_ros.files.messages import PACKAGE_FRAME, POSE, TWIST
 from bellows_ros.files.trajectory_files import read_tum
@@ -58,8 +68,8 @@ TAIL_SHOWN = 1.5
 STANDSTILL_STEP = 0.005
 """Spacing of the points after the end, s."""
 
-MAX_DRAWN_FACTOR = 1000.0
-"""Largest safety factor drawn."""
+MIN_DRAWN_LOAD = 1e-3
+"""Smallest load, the inverse of a safety factor, drawn."""
 
 STILL = (0.01, 0.04)
 """Largest speeds of a tool between two moves, m/s and rad/s: ten times the noise of recorded
@@ -71,8 +81,8 @@ MIN_STOP = 0.3
 DRAWN_SECONDS = 5.0
 """Part of a motion of several moves in a picture, s: a package swings 10 to 20 times in it."""
 
-NO_FACTOR = text(Finding('no_factor'))
-
+AS_PLANNED = 'as planned'
+"""Name of the unchanged motion."""
 
 MotionSource = File | Trajectory
 """A file with a motion, or the motion of E."""
@@ -81,21 +91,21 @@ MotionSource = File | Trajectory
 @dataclass(frozen=True, eq=False)
 class Source:
     """
-    A plan as read from its file, with the parameters of cup and package.
+    A motion of the tool as read from a file, with the parameters of cup and package.
 
     Parameters
     ----------
     tool : Trajectory
         Motion of E in the plan's frame with body twists.
     frame_id : str
+    values : mapping
+        All parameters.
+    path : str
+        Path of the file.
     notes : tuple of Finding
         Findings on reading the plan.
     recorded_ns : int array or None
         Stamps of the measured poses, ns; None for a planned motion.
-    path : str
-        Path of the file.
-    values : mapping
-        All parameters.
     joints : Joints or None
         Arm of a plan of joints, otherwise None.
 
@@ -103,10 +113,10 @@ class Source:
 
     tool: Trajectory
     frame_id: str
+    values: Values
+    path: str = 'a motion'
     notes: tuple[Finding, ...] = ()
     recorded_ns: Stamps | None = None
-    path: str = ''
-    values: Values = field(default_factory=lambda: Values({}))
     joints: Joints | None = None
 
     @property
@@ -119,7 +129,7 @@ class Source:
 
     @property
     def duration(self) -> float:
-        """Duration of the plan, s."""
+        """Duration of the motion, s."""
         return float(self.tool.seconds[-1])
 
     @property
@@ -144,12 +154,6 @@ class Source:
     def grip(self) -> Grip | None:
         """Grip of the cup; None if unknown."""
         return conversion.grip_of(self.values)
-
-    def bodies(self, tool: Trajectory, seconds: float) -> tuple[Trajectory, Trajectory]:
-        """Return a motion of the tool with a final standstill (s), and the package along it."""
-        tool = extended(tool, seconds)
-        states = PlanSimulation(self.model, None, tool, tail=0.0).states()
-        return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
 
     def deviations(self, compute: Callable[[ModelTuple], Array]) -> Array:
         """Return the standard deviations of a function of the model; 0 for exact parameters."""
@@ -189,49 +193,28 @@ class Move(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PlanReport(OfPlan):
+class Motion:
     """
-    The effects of a plan on the package.
+    A motion of the tool, and its effect on the package.
 
     Parameters
     ----------
     source : Source
-        The plan.
+        The motion.
     prediction : PlanPrediction
         Predicted motion of the package.
     std : mapping of str to float
-        Standard deviation of each number of the prediction's summary.
-    fastest : Fastest or None
-        Shortest safe time scale, None if not searched or not found.
-    sought : bool
-        Whether the shortest time scale was searched.
-    used : mapping of str to float
-        Used part of each stated limit of the arm; above 1 the plan exceeds it.
+        Standard deviation of each number of `summary`.
 
     """
 
     source: Source
     prediction: PlanPrediction
     std: Mapping[str, float]
-    fastest: Fastest | None
-    sought: bool
-    used: Mapping[str, float]
 
-    @property
-    def least(self) -> float:
-        """Required safety factor."""
-        return float(self.source.values.safety.least)
-
-    @property
-    def holds(self) -> bool:
-        """Whether the cup holds, unless unknown, and a safe time was found if searched."""
-        held = self.prediction.grip is None or self.prediction.smallest_safety[0] >= 1.0
-        return held and (self.fastest is not None or not self.sought)
-
-    @property
-    def succeeded(self) -> bool:
-        """Whether the cup holds."""
-        return self.holds
+    def summary(self) -> dict[str, float]:
+        """Return the numbers of a summary, SI units; NaN for unknown ones."""
+        return {'duration': self.source.duration, **self.prediction.summary()}
 
     @cached_property
     def outside(self) -> tuple[str, ...]:
@@ -240,39 +223,40 @@ class PlanReport(OfPlan):
         return self.prediction.outside(
             conversion.parameter_envelope(values), values.package.mass, values.vacuum.holding)
 
-    @cached_property
-    def _fast(self) -> tuple[Trajectory, str]:
-        """The plan in its shortest safe time, and the joint that needs a longer one, or ''."""
-        source, joints = self.source, self.source.joints
-        tool = timed(source.tool, self.fastest.scale if self.fastest else 1.0)
-        if self.fastest is None or joints is None:
-            return tool, ''
-        factor, limit = joint_excess(joints.arm, joints.along(tool, source.tool), math.inf)
-        return timed(tool, factor * 1.001 if limit else 1.0), limit  # of points 1 ms apart
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the motion."""
+        prediction, required = self.prediction, self.source.values.safety.least
+        safety = Finding('no_factor') if prediction.grip is None else safety_finding(
+            *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], required)
+        sides = [side for side, is_still in (
+            ('begins', self.source.begins_at_rest), ('ends', prediction.ends_at_rest))
+            if not is_still]
+        return tuple(filter(None, (
+            safety, flip_finding(prediction.bending),
+            Finding('in_motion', Level.WARN, {'side': ' and '.join(sides)}) if sides else None,
+            outside_finding(self.outside))))
 
-    @cached_property
-    def driven(self) -> tuple[Trajectory, Array]:
-        """The tool and states (N, 13) of the package, in the shortest safe time if requested."""
-        if self.fastest is None:
-            return self.source.tool, self.prediction.states
-        tool, _ = self._fast
-        return tool, PlanSimulation(self.source.model, None, tool, tail=0.0).states()
+    def with_peaks(self, seconds: Array, loads: Array) -> Array:
+        """Return loads (N, 2) at times (N,), s, with the peaks between and after these times."""
+        (peel, slip), loads = self.prediction.peaks[:2, :2], loads.copy()
+        for mode, (load, time) in enumerate((peel, slip)):
+            at = min(int(np.searchsorted(seconds, time)), len(seconds) - 1)
+            loads[at, mode] = max(loads[at, mode], load)
+        return loads
 
     @cached_property
     def moves(self) -> tuple[Move, ...]:
         """Moves between standstills of the tool, with their least safety factors."""
-        tool, prediction = self.source.tool, self.prediction
-        speeds = np.linalg.norm(np.asarray(tool.twist).reshape(-1, 2, 3), axis=2)
-        moving, t = np.flatnonzero((speeds > STILL).any(axis=1)), tool.seconds
-        if prediction.grip is None or not len(moving):
+        speeds = np.linalg.norm(np.asarray(self.source.tool.twist).reshape(-1, 2, 3), axis=2)
+        moving, t = np.flatnonzero((speeds > STILL).any(axis=1)), self.source.tool.seconds
+        if self.prediction.grip is None or not len(moving):
             return ()
         stops = np.flatnonzero(np.diff(t[moving]) > MIN_STOP)
         begins, ends = moving[np.append(0, stops + 1)], moving[np.append(stops, -1)]
-        factors = 1.0 / np.maximum.reduceat(prediction.loads.max(axis=1), begins)
-        least, _, at = prediction.smallest_safety  # also between points, and after the end
-        worst = max(int(np.searchsorted(t[begins], at, 'right')) - 1, 0)
-        factors[worst] = min(factors[worst], least)
-        return tuple(map(Move, t[begins].tolist(), t[ends].tolist(), factors.tolist()))
+        loads = self.with_peaks(t, self.prediction.loads).max(axis=1)
+        return tuple(map(Move, t[begins].tolist(), t[ends].tolist(), (
+            1.0 / np.maximum.reduceat(loads, begins)).tolist()))
 
     @property
     def drawn(self) -> tuple[float, float]:
@@ -283,62 +267,119 @@ class PlanReport(OfPlan):
         middle = min(max(self.prediction.smallest_safety[2], half), duration - half)
         return middle - half, middle + half
 
+    def extended(self, seconds: float) -> Trajectory:
+        """Return the motion of the tool with a final standstill of a duration (s)."""
+        tool, count = self.source.tool, round(seconds / STANDSTILL_STEP)
+        later = tool.stamps_ns[-1] + np.arange(1, count + 1) * round(STANDSTILL_STEP * NS_PER_S)
+        more = ((0, count), (0, 0))
+        return Trajectory(
+            np.append(tool.stamps_ns, later), np.pad(tool.position, more, 'edge'),
+            np.pad(tool.rotation, (*more, (0, 0)), 'edge'), np.pad(np.asarray(tool.twist), more))
+
     @cached_property
     def curves(self) -> tuple[Array, Array, Array, Array]:
         """
-        Curves of the picture, including the time after a plan that ends at rest.
+        Curves of the picture, including the time after a motion that ends at rest.
 
         Times since the first point (N,), s; positions of E (N, 3), m; position of B (3, m),
         bending (rad), safety factors against peel and slip, and wrench of the cup at the lip (6,
         N and N m), (N, 12); and their standard deviations.
         """
         prediction, source = self.prediction, self.source
-        after = min(TAIL_SHOWN, prediction.settled_after + 0.2) if prediction.ends_at_rest else 0.0
-        tool = extended(source.tool, after)
+        tool = self.extended(min(TAIL_SHOWN, prediction.settled_after + 0.2)
+                             if prediction.ends_at_rest else 0.0)
         run = PlanSimulation(source.model, source.grip, tool, tail=0.0)
 
         def compute(changed: ModelTuple) -> Array:
-            predicted = run.with_model(changed).predict()
-            angle = bending(tool.rotation, quaternion_to_rotation(predicted.states[:, 3:7]))
-            factors = 1.0 / np.maximum(predicted.loads, 1.0 / MAX_DRAWN_FACTOR)
-            return np.hstack([predicted.states[:, :3], angle[:, None], factors, predicted.wrench])
+            found = run.with_model(changed).predict()
+            angle = bending(tool.rotation, quaternion_to_rotation(found.states[:, 3:7]))
+            loads = self.with_peaks(tool.seconds, found.loads) if (
+                changed is source.model) else found.loads
+            return np.hstack([found.states[:, :3], angle[:, None], 1.0 / np.maximum(
+                loads, MIN_DRAWN_LOAD), found.wrench])
 
         return tool.seconds, tool.position, compute(source.model), source.deviations(compute)
 
+    def bodies(self) -> tuple[Trajectory, Trajectory]:
+        """Return tool and package, including the time after a motion that ends at rest."""
+        tool = self.extended(TAIL_SHOWN if self.prediction.ends_at_rest else 0.0)
+        states = PlanSimulation(self.source.model, None, tool, tail=0.0).states()
+        return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all numbers of the motion by name, SI units."""
+        prediction = self.prediction
+        return {
+            **self.summary(), **{f'{name}_std': std for name, std in self.std.items()},
+            'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
+            'outside_validity': self.outside, 'moves': self.moves,
+            'points': len(self.source.tool)}
+
+
+@dataclass(frozen=True, eq=False)
+class PlanReport(OfPlan):
+    """
+    The effects of a plan on the package.
+
+    Parameters
+    ----------
+    source : Source
+        The plan.
+    motions : mapping of str to Motion
+        The requested motion, by the name of its method, and the plan 'as planned' if it can be
+        predicted.
+    used : mapping of str to float
+        Used part of each limit of the arm by the requested motion; above 1 it exceeds the limit.
+    notes : tuple of Finding
+        Findings on the request.
+    fastest : Fastest or None
+        Shortest safe time scale, None if not searched.
+    steered : Steered or None
+        Steered motion, None if not requested.
+
+    """
+
+    source: Source
+    motions: Mapping[str, Motion]
+    used: Mapping[str, float]
+    notes: tuple[Finding, ...] = ()
+    fastest: Fastest | None = None
+    steered: steering.Steered | None = None
+
+    @property
+    def result(self) -> Motion:
+        """The requested motion."""
+        return next(iter(self.motions.values()))
+
+    @property
+    def prediction(self) -> PlanPrediction:
+        """Prediction of the requested motion."""
+        return self.result.prediction
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the cup holds, unless unknown."""
+        return self.prediction.grip is None or self.prediction.smallest_safety[0] >= 1.0
+
     def scenes(self) -> dict[str, tuple[Trajectory, Trajectory]]:
-        """Return tool and package by title, including the time after a plan that ends at rest."""
-        source = self.source
-        return {source.path: source.bodies(
-            source.tool, TAIL_SHOWN if self.prediction.ends_at_rest else 0.0)}
+        """Return tool and package by the name of the motion."""
+        return {name: motion.bodies() for name, motion in self.motions.items()}
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings on the motion."""
-        source, prediction, (fast, limit) = self.source, self.prediction, self._fast
-        safety = Finding('no_factor') if prediction.grip is None else safety_finding(
-            *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], self.least)
-        sides = [side for side, is_still in (
-            ('begins', source.begins_at_rest), ('ends', prediction.ends_at_rest)) if not is_still]
-        return (*source.findings, *filter(None, (
-            safety, flip_finding(prediction.bending),
-            Finding('in_motion', Level.WARN, {'side': ' and '.join(sides)}) if sides else None,
-            Finding('slowed', Level.OK, {
-                'scale': float(fast.seconds[-1]) / source.duration, 'limit': limit})
-            if limit else None,
-            outside_finding(self.outside))))
+        """Findings on the plan and the requested motion."""
+        return (*self.source.findings, *self.result.findings, *self.notes)
 
     def numbers(self) -> dict[str, Any]:
         """Return the numbers of the result by name."""
-        prediction, fastest = self.prediction, self.fastest
+        requested, *beside = self.motions
         return {
-            'duration': self.source.duration, **prediction.summary(),
-            'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
-            'duration_std': 0.0, **{f'{name}_std': std for name, std in self.std.items()},
-            'outside_validity': self.outside,
-            **({'fastest_scale': fastest and fastest.scale,
-                'fastest_scale_std': fastest and fastest.scale_std} if self.sought else {}),
-            'used_parts': self.used, 'moves': self.moves,
-            'points': len(self.source.tool), 'least_safety_factor': self.least}
+            'motion': requested, **self.result.numbers(),
+            'beside': {name: self.motions[name].numbers() for name in beside},
+            'fastest_scale': self.fastest and self.fastest.scale,
+            'fastest_scale_std': self.fastest and self.fastest.scale_std,
+            'modes': self.steered and self.steered.modes, 'used_parts': self.used,
+            'least_safety_factor': float(self.source.values.safety.least)}
 
 
 def plan(
@@ -367,11 +408,83 @@ def plan(
     Raises
     ------
     BellowsError
-        If the plan cannot be read, is impossible for an arm, or the package cannot be held.
+        If the plan cannot be read, is impossible for an arm, the package cannot be held, or no
+        time is safe.
 
     """
     source = plan_with_cup(path, settings, urdf, topic)
     bounds = limits_in(limits, source)
+    planned = _effect(source)
+    if not seek_fastest:
+        used = _used(source, bounds, planned) if limits else {}
+        return PlanReport(source, {AS_PLANNED: planned}, used)
+    scale, tool, notes = _fastest(source)
+    fast = _effect(replace(source, tool=tool))
+    fast = replace(fast, std={**fast.std, 'duration': scale.scale_std * source.duration})
+    return PlanReport(source, {'fastest': fast, AS_PLANNED: planned}, _used(
+        source, bounds, fast) if limits else {}, notes, scale)
+
+
+def steer_plan(
+    path: MotionSource, settings: Mapping[str, Any], method: str,
+    limits: File | Mapping[str, object] = '', urdf: str = '', topic: str = '',
+) -> PlanReport:
+    """
+    Steer a plan of the tool so that the package does not swing.
+
+    Parameters
+    ----------
+    path, settings, urdf, topic
+        As in `workflows.plan.plan`.
+    method : str
+        One of `core.planning.steering.METHODS`.
+    limits : path or mapping
+        YAML file with limits of the arm, or its content, to which the motion is slowed down.
+
+    Raises
+    ------
+    BellowsError
+        If the method is unknown, the plan cannot be read or steered, or the limits cannot be kept.
+
+    """
+    if method not in steering.METHODS:
+        raise BellowsError(f"method is '{method}'; expected one of {', '.join(steering.METHODS)}.")
+    source = plan_with_cup(path, settings, urdf, topic)
+    bounds = limits_in(limits, source)
+
+    def steered_at(scale: float) -> steering.Steered:
+        return steering.steer(source.model, timed(source.tool, scale), method)
+
+    def limit_at(scale: float) -> str:
+        tool, factor = steered_at(scale).tool, math.inf
+        if bounds.safety_factor > 0.0:
+            factor = PlanSimulation(
+                source.model, source.grip, tool, tail=steering.TAIL).safety(1.0)
+        parts = _used_parts(source, bounds, tool, factor)
+        name, part = next((each for each in parts if each[1] > 1.0), ('', 0.0))
+        if name == 'workspace':
+            raise BellowsError(
+                f'The motion leaves the workspace at any speed: it uses {part:.0%} of the half '
+                'width about its middle. Change the plan or the limits.')
+        return name
+
+    scale, limit = first_allowed(limit_at) if limits or source.joints else (1.0, '')
+    steered = steered_at(scale)
+    motions = {'unchanged' if steered.method == 'none' else steered.method: _effect(
+        replace(source, tool=steered.tool))}
+    used = _used(source, bounds, *motions.values()) if limits else {}
+    with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
+        motions[AS_PLANNED] = _effect(source)
+    return PlanReport(source, motions, used, _slowed(scale, limit), steered=steered)
+
+
+def _slowed(scale: float, limit: str) -> tuple[Finding, ...]:
+    """Return the finding on a slower motion for a limit, if any."""
+    return (Finding('slowed', Level.OK, {'scale': scale, 'limit': limit}),) if limit else ()
+
+
+def _effect(source: Source) -> Motion:
+    """Predict the package along a motion, with standard deviations."""
     run = PlanSimulation(source.model, source.grip, source.tool)
     prediction = run.predict()
 
@@ -382,21 +495,33 @@ def plan(
 
     std = {name: deviation if math.isfinite(value) else math.nan for (name, value), deviation in
            zip(prediction.summary().items(), source.deviations(figures).tolist(), strict=True)}
-    shortest = _fastest(source, prediction) if seek_fastest else None
-    used = dict(_used_parts(
-        source, bounds, source.tool, prediction.smallest_safety[0])) if limits else {}
-    return PlanReport(source, prediction, std, shortest, seek_fastest, used)
+    rms = math.sqrt(mean_square(
+        conversion.uncertain_of(source.values), source.model,
+        lambda changed: run.with_model(changed).predict().residual_swing))
+    if prediction.ends_at_rest and rms > 2.0 * prediction.residual_swing:
+        std['swing_left'] = rms  # near zero, where the swing has no slope
+    return Motion(source, prediction, {'duration': 0.0, **std})
 
 
-def _fastest(source: Source, prediction: PlanPrediction) -> Fastest | None:
-    """Return the shortest safe time of a plan, None if there is none."""
-    why = NO_FACTOR if source.grip is None else '' if (
-        source.begins_at_rest and prediction.ends_at_rest) else (
-        'The plan begins or ends in motion. Give a plan from rest to rest.')
-    if source.grip is None or why:
-        raise BellowsError(f'The shortest safe time cannot be found. {why}')
-    return fastest(conversion.uncertain_of(source.values), source.model, source.grip, source.tool,
-                   float(source.values.safety.least))
+def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
+    """Return the shortest safe time, its motion, and the limit of a joint that needs longer."""
+    is_at_rest = source.begins_at_rest and simulation.stands(np.asarray(source.tool.twist)[-1])
+    if source.grip is None or not is_at_rest:
+        raise BellowsError('The shortest safe time cannot be found. ' + (
+            text(Finding('no_factor')) if source.grip is None else
+            'The plan begins or ends in motion. Give a plan from rest to rest.'))
+    required = float(source.values.safety.least)
+    found = fastest(
+        conversion.uncertain_of(source.values), source.model, source.grip, source.tool, required)
+    if found is None:
+        raise UndeterminedError(
+            'No duration of the plan is safe: the safety factor, less two standard deviations, is '
+            f'never above safety.least, {required:g}. Raise the vacuum, or use a larger cup.')
+    tool, limit = timed(source.tool, found.scale), ''
+    if joints := source.joints:
+        factor, limit = joint_excess(joints.arm, joints.along(tool, source.tool), math.inf)
+        tool = timed(tool, factor * 1.001 if limit else 1.0)  # of points 1 ms apart
+    return found, tool, _slowed(float(tool.seconds[-1]) / source.duration, limit)
 
 
 def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
@@ -405,8 +530,15 @@ def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     if source.grip is None and bounds.safety_factor > 0.0:
         raise BellowsError(
-            f'The limit safety_factor cannot be compared. {NO_FACTOR} Or leave safety_factor out.')
+            f"The limit safety_factor cannot be compared. {text(Finding('no_factor'))} Or leave "
+            'safety_factor out.')
     return bounds
+
+
+def _used(source: Source, limits: Limits, motion: Motion) -> dict[str, float]:
+    """Return the used part of each limit by a motion along a plan."""
+    return dict(_used_parts(
+        source, limits, motion.source.tool, motion.prediction.smallest_safety[0]))
 
 
 def _used_parts(
@@ -441,161 +573,6 @@ def smallest_margin(
     return margin(grip, factors_along(model, grip, *rows), seconds)
 
 
-def extended(tool: Trajectory, seconds: float) -> Trajectory:
-    """Return a plan with a final standstill of a duration (s)."""
-    count = round(seconds / STANDSTILL_STEP)
-    if count == 0:
-        return tool
-    later = tool.stamps_ns[-1] + np.arange(1, count + 1) * round(STANDSTILL_STEP * NS_PER_S)
-    more = ((0, count), (0, 0))
-    return Trajectory(
-        np.append(tool.stamps_ns, later), np.pad(tool.position, more, 'edge'),
-        np.pad(tool.rotation, (*more, (0, 0)), 'edge'), np.pad(np.asarray(tool.twist), more))
-
-
-# ------------------------------------------------------------------------------------- steering
-
-
-class SteeredMotion(NamedTuple):
-    """A motion of the tool, and its effect on the package."""
-
-    tool: Trajectory
-    prediction: PlanPrediction
-    added_time: float
-    """Additional time beyond the plan, s."""
-    expected_swing: float
-    """RMS of the residual swing over the uncertainty of cup and package, rad."""
-
-    def summary(self) -> dict[str, float]:
-        """Return the numbers of a summary, SI units."""
-        return {
-            'duration': float(self.tool.seconds[-1]), 'added_time': self.added_time,
-            'expected_swing': self.expected_swing,
-            **{name: size for name, size in self.prediction.summary().items()
-               if name in ('peak_bending', 'swing_left', 'settled_after',
-                           'smallest_safety_factor')},
-            **demands(self.tool)}
-
-
-@dataclass(frozen=True, eq=False)
-class SteerReport(OfPlan):
-    """
-    A plan, and its steered motion.
-
-    Parameters
-    ----------
-    source : Source
-        The plan.
-    method : str
-        One of `core.planning.steering.METHODS`.
-    motions : mapping
-        The motion by the method, and 'as planned' if it can be predicted.
-    steered : Steered
-        Motion steered by the method.
-    time_scale : float
-        Factor by which the motion was slowed down for the limits.
-    limit : str
-        Limit that required the slowdown.
-
-    """
-
-    source: Source
-    method: str
-    motions: Mapping[str, SteeredMotion]
-    steered: steering.Steered
-    time_scale: float
-    limit: str
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Findings on the motion."""
-        steered = self.steered
-        how = f'after {steered.method}' if steered.modes else (
-            'in the unchanged motion, as no shaper leaves less')
-        slowed = Finding('slowed', Level.OK, {'scale': self.time_scale, 'limit': self.limit})
-        return (*self.source.findings, *[slowed] * (self.time_scale > 1.0), Finding(
-            'shaped', Level.OK, {'residual': steered.residual, 'how': how}))
-
-    @property
-    def driven(self) -> tuple[Trajectory, Array]:
-        """The written motion of the tool, and the states (N, 13) of the package."""
-        motion = self.motions[self.method]
-        return motion.tool, motion.prediction.states
-
-    def scenes(self) -> dict[str, tuple[Trajectory, Trajectory]]:
-        """Return tool and package by the name of the motion, until some time after its end."""
-        return {name: self.source.bodies(motion.tool, TAIL_SHOWN)
-                for name, motion in self.motions.items()}
-
-    def numbers(self) -> dict[str, Any]:
-        """Return the numbers of the result by name."""
-        return {
-            'method': self.method, 'used': self.steered.method,
-            **self.motions[self.method].summary(),
-            'beside': {name: motion.summary() for name, motion in self.motions.items()
-                       if name != self.method},
-            'time_scale': self.time_scale, 'limit': self.limit,
-            'modes': self.steered.modes,
-            'residual_swing': self.steered.residual}
-
-
-def steer_plan(
-    path: MotionSource, settings: Mapping[str, Any], method: str,
-    limits: File | Mapping[str, object] = '', urdf: str = '', topic: str = '',
-) -> SteerReport:
-    """
-    Steer a plan of the tool so that the package does not swing.
-
-    Parameters
-    ----------
-    path, settings, urdf, topic
-        As in `workflows.plan.plan`.
-    method : str
-        One of `core.planning.steering.METHODS`.
-    limits : path or mapping
-        YAML file with limits, or its content; '' for none.
-
-    Raises
-    ------
-    BellowsError
-        If the method is unknown, the plan cannot be read or steered, or the limits cannot be kept.
-
-    """
-    if method not in steering.METHODS:
-        raise BellowsError(f"method is '{method}'; expected one of {', '.join(steering.METHODS)}.")
-    source = plan_with_cup(path, settings, urdf, topic)
-    bounds = limits_in(limits, source)
-
-    def steered_at(scale: float) -> steering.Steered:
-        return steering.steer(source.model, timed(source.tool, scale), method)
-
-    def limit_at(scale: float) -> str:
-        tool, factor = steered_at(scale).tool, math.inf
-        if bounds.safety_factor > 0.0:
-            factor = PlanSimulation(
-                source.model, source.grip, tool, tail=steering.TAIL).safety(1.0)
-        return next((name for name, part in _used_parts(source, bounds, tool, factor)
-                     if part > 1.0), '')
-
-    is_bound = bool(limits) or source.joints is not None
-    scale, limit = first_allowed(limit_at) if is_bound else (1.0, '')
-    steered = steered_at(scale)
-    motions = {method: _effect(source, steered.tool)}
-    with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
-        motions['as planned'] = _effect(source, source.tool)
-    return SteerReport(source, method, motions, steered, scale, limit)
-
-
-def _effect(source: Source, tool: Trajectory) -> SteeredMotion:
-    """Return the effect of a motion of the tool on the package."""
-    run = PlanSimulation(source.model, source.grip, tool)
-    square = mean_square(
-        conversion.uncertain_of(source.values), source.model,
-        lambda changed: float(run.with_model(changed).predict().summary()['swing_left']))
-    return SteeredMotion(
-        tool, run.predict(), float(tool.seconds[-1]) - source.duration, math.sqrt(square))
-
-
 # -------------------------------------------------------------------------------------- reading
 
 
@@ -606,10 +583,7 @@ def plan_with_cup(
     values = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
     require_types(motion=(path, str, os.PathLike, Trajectory))
     if isinstance(path, Trajectory):
-        return Source(_checked_motion(path, path.twist), '', path='a motion', values=values)
-    if not os.path.exists(path):
-        raise BellowsError(
-            f"Plan '{path}' does not exist. Give a recording, or a YAML or TUM file.")
+        return Source(_checked_motion(path, path.twist), '', values)
     return read_plan(path, values, urdf, topic)
 
 
@@ -633,17 +607,12 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
             f'The plan has {points} points from recording.start to recording.end; expected 2 or '
             'more. Select a longer part.')
     tool = source.tool.select(chosen)
-    if source.recorded_ns is not None:
-        tool = _from_rest(tool)
-    return replace(source, tool=tool, path=os.fspath(path), values=values)
-
-
-def _from_rest(tool: Trajectory) -> Trajectory:
-    """Return a recorded motion with a zero first twist, if the tool stands there."""
     twist = np.array(tool.twist)
-    if (np.linalg.norm(twist[0].reshape(2, 3), axis=1) <= STILL).all():
-        twist[0] = 0.0
-    return replace(tool, twist=twist)
+    if source.recorded_ns is not None and (
+            np.linalg.norm(twist[0].reshape(2, 3), axis=1) <= STILL).all():
+        twist[0] = 0.0  # from rest
+        tool = replace(tool, twist=twist)
+    return replace(source, tool=tool, path=os.fspath(path))
 
 
 def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
@@ -654,7 +623,7 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
             f"The topic is '{topic}', but '{file}' is no recording and has none. Leave it out.")
     if kind in TEXT:
         tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
-        return Source(at_tip(tool, conversion.tip_of(values)), '')
+        return Source(at_tip(tool, conversion.tip_of(values)), '', values)
     if kind in YAML:
         content = safe_yaml.load(file)
         if isinstance(content, Mapping) and 'kind' in content:
@@ -679,9 +648,9 @@ def _source_of_plan(
     if read.kind == plans.JOINTS:
         arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(conversion.tip_of(values))
         tool, joints = plan_of_joints(arm, read.names, stamps, *read[5:])
-        return Source(tool, arm.root, joints=joints)
+        return Source(tool, arm.root, values, joints=joints)
     tool = plan_of(stamps, read.points, read.rates, values.tool_twist.frame).trajectory()
-    return Source(at_tip(tool, conversion.tip_of(values)), read.frame_id)
+    return Source(at_tip(tool, conversion.tip_of(values)), read.frame_id, values)
 
 
 def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
@@ -693,7 +662,7 @@ def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     stamps = recipe.start_ns + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
     tool = alignment.in_world(motion.trajectory(stamps, recipe.start_ns), R_world_level)
-    return Source(_checked_motion(tool, tool.twist), recipe.frame_id)
+    return Source(_checked_motion(tool, tool.twist), recipe.frame_id, values)
 
 
 def _checked_motion(
@@ -711,7 +680,7 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
               'tool_twist': values.topics.tool_twist}
     contents = bags.read_contents(path, wanted)
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
-    name, rates, axes = 'The motion', None, 'tool'
+    axes = values.tool_twist.frame
     if not isinstance(poses, PoseStream):
         if not values.tool_link:
             problem = contents.problems['tool_pose']
@@ -719,30 +688,28 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
                 f'{problem} A plan is a message of type {", ".join(plans.PLAN_TYPES)}; or poses '
                 'of the tool are recorded, or joint states with tool_link.')
         read = plans.recorded_joints(path, plans.arm_of(urdf, values.tool_link, path))
-        rates, twists = read.rates, None
-        poses = PoseStream(
-            'the tool', read.frame_id, read.stamp_ns + read.times_ns, read.points[:, :3],
-            quaternion_to_rotation(read.points[:, 3:]))
-    motion, given = poses.trajectory(), rates is not None or twists is not None
-    if rates is None:
-        name = f"Poses '{poses.name}'"
-        motion, rates, axes = _with_rates(
-            motion, twists if isinstance(twists, trajectory.TwistStream) else None, values)
-    tool = at_tip(_checked_motion(motion, rates, axes, name, given), conversion.tip_of(values))
-    return Source(tool, poses.frame_id, recorded_ns=poses.stamps_ns)
+        frame, stamps, axes = read.frame_id, read.stamp_ns + read.times_ns, 'tool'
+        poses = PoseStream('the tool', frame, stamps, read.points[:, :3],
+                           quaternion_to_rotation(read.points[:, 3:]))
+        twists = None if read.rates is None else TwistStream(
+            'the tool', frame, stamps, read.rates[:, :3], read.rates[:, 3:])
+    motion, rates, axes = _with_rates(poses.trajectory(), twists, axes)
+    tool = at_tip(_checked_motion(motion, rates, axes, f"Poses '{poses.name}'", bool(twists)),
+                  conversion.tip_of(values))
+    return Source(tool, poses.frame_id, values, recorded_ns=poses.stamps_ns)
 
 
 def _with_rates(
-    poses: Trajectory, twists: trajectory.TwistStream | None, values: Values
+    poses: Trajectory, twists: bags.Stream | None, axes: str
 ) -> tuple[Trajectory, Array, str]:
     """Return measured poses with recorded or filtered twists, and the axes of the twists."""
-    if twists is not None:
+    if isinstance(twists, TwistStream):
         first, last = twists.stamps_ns[[0, -1]]
         poses = poses.select((poses.stamps_ns >= first) & (poses.stamps_ns <= last))
         six = np.stack([
             np.interp(poses.stamps_ns - first, twists.stamps_ns - first, column)
             for column in np.hstack([twists.linear, twists.angular]).T], axis=1)
-        return poses, six, values.tool_twist.frame
+        return poses, six, axes
     rate = resampling.timing(poses.stamps_ns)
     half_window = max(4, round(preparation.AUTOMATIC_HALF_WINDOW * rate.rate_hz))
     grid = resampling.on_grid(poses, rate)

@@ -31,7 +31,7 @@ def test_says_writes_and_draws(bellows, succeed, workshop, transport, tmp_path):
         assert found[name] > 0.0 and found[f'{name}_std'] >= 0.0, name
     assert found['smallest_safety_mode'] == 'peel' and found['outside_validity'] == []
     assert f'{found["smallest_safety_factor"]:.2f}' in done.stdout
-    assert 'shortest safe time' in done.stdout and 'Wrote predicted.' in done.stdout
+    assert 'as planned' in done.stdout and 'Wrote predicted.' in done.stdout
     assert (tmp_path / 'plan.png').read_bytes().startswith(b'\x89PNG')
     assert {t.name for t in topics(tmp_path / 'predicted')} >= {
         '/tool_arm/plan', '/package/plan', '/package/plan_path', '/package/pose'}

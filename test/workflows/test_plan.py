@@ -200,10 +200,10 @@ def test_fastest_and_curves(bag, tmp_path):
     report = plan(bag, VALUES, seek_fastest=True)
     found = report.as_json()
     assert 0.1 < found['fastest_scale'] < 5.0 and found['fastest_scale_std'] > 0.0
-    seconds, _, values, std = report.curves
+    seconds, _, values, std = report.motions['as planned'].curves
     assert values.shape == std.shape == (len(seconds), 12) and seconds[-1] > 0.6
-    assert_allclose(1 / report.prediction.loads[:, 0].max(),
-                    values[:len(report.prediction.loads), 4].min())
+    assert_allclose(report.motions['as planned'].summary()['smallest_safety_factor'],
+                    values[:, 4:6].min(), rtol=1e-9)
     with pytest.raises(BellowsError, match=r'cup\.lip_radius.*vacuum\.holding'):
         plan(bag, VALUES.replaced({'cup.lip_radius': 0.0}), seek_fastest=True)
     half = message(**{name: getattr(message(), name)[:80]
@@ -225,14 +225,14 @@ def test_each_move_has_its_least_safety_factor(tmp_path):
     twists = np.pad(np.gradient(x, t)[:, None], ((0, 0), (0, 5)))
     times = np.round(1e9 * t).astype(np.int64)
     data = encode(message(times_ns=times, points=poses, rates=twists))
-    found = plan(bag_of(tmp_path / 'bag', MULTI_DOF, data), VALUES)
+    found = plan(bag_of(tmp_path / 'bag', MULTI_DOF, data), VALUES).result
     assert_allclose([each.begin for each in found.moves], 3.0 * np.arange(10), atol=0.2)
     factors = [each.smallest_safety_factor for each in found.moves]
     assert factors[3] == found.prediction.smallest_safety[0] < 0.8 * min(
         factors[:3] + factors[4:])
     begin, end = found.drawn
     assert begin < 9.0 < 9.5 < end and end - begin == pytest.approx(5.0)
-    assert plan(tmp_path / 'bag', VALUES.replaced({'cup.lip_radius': 0.0})).moves == ()
+    assert plan(tmp_path / 'bag', VALUES.replaced({'cup.lip_radius': 0.0})).result.moves == ()
 
 
 def test_lost_grip_and_unknown_grip_are_reported(bag):
