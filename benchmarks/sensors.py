@@ -20,7 +20,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import exp_so3
 from bellows_ros.core.identification.fitting import output_error
 from bellows_ros.core.identification.residuals import evaluated
-from bellows_ros.core.identification.segments import MeasuredSegment, Segment
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.identification.unknowns import Problem, weak_prior
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
@@ -86,7 +86,7 @@ def sensed(
                       true.rotation @ exp_so3(e[:, 3:])), BodyNoise(std, 0.0)
 
 
-def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[MeasuredSegment]:
+def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list[Segment]:
     """Return a simulated recording; `noise` is a factor of the noise."""
     rng = np.random.default_rng(seed)
     motion = motion_from(Settings({**MOTION, 'duration': duration + 0.5}), rng)
@@ -101,7 +101,7 @@ def recorded(seed: int, cell: Cell, duration: float, noise: float = 1.0) -> list
         late = round(float(wrong.pop('time_offset')[0]) * 1e9)
         body = poses_of(body, wrong, np.zeros(3))
         body = Trajectory(body.stamps_ns - late, body.position, body.rotation)
-    return [MeasuredSegment(tool, body, PLATE, GRAVITY, tool_noise, package_noise)]
+    return [Segment(tool, body, PLATE, GRAVITY, tool_noise, package_noise)]
 
 
 class Trial(NamedTuple):
@@ -116,10 +116,9 @@ class Trial(NamedTuple):
 
 
 def bound_of(
-    cup: Cup, structure: Structure, true: MeasuredSegment, free: Mapping[str, Array]
+    cup: Cup, structure: Structure, segment: Segment, free: Mapping[str, Array]
 ) -> Array:
     """Return the Cramer-Rao bound (n,) of the parameters and of all else that is free."""
-    segment = Segment.of(true)
     problem = Problem.of([segment], structure, cup, free)
     H = evaluated(problem, problem.start, segment, segment.first).information.sum(axis=0)
     C, slopes = np.linalg.inv(H + np.diag(problem.weights)), np.diag(problem.units)

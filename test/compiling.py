@@ -7,7 +7,7 @@ from multiprocessing import get_context
 
 from bellows_ros.core import live, usable_cores
 from bellows_ros.core.identification import residuals
-from bellows_ros.core.identification.segments import MeasuredSegment, Segment
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.live import landing
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
@@ -77,8 +77,8 @@ def compile_fit(cup: Cup) -> None:
     """Compile a fit of output error to a recording."""
     tool = _moving(3.0)
     noise = BodyNoise(np.repeat([1e-4, 5e-4], 3))
-    segment = Segment.of(MeasuredSegment(
-        tool, simulate(cup, PACKAGE, tool, gravity=GRAVITY), PACKAGE, GRAVITY, noise, noise))
+    segment = Segment(
+        tool, simulate(cup, PACKAGE, tool, gravity=GRAVITY), PACKAGE, GRAVITY, noise, noise)
     problem = Problem.of([segment], STRUCTURES['axisymmetric'], cup, {})
     residuals.evaluated(problem, problem.start, segment, segment.first)
 

@@ -9,11 +9,11 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 import importlib
 import logging
 from operator import itemgetter
 import os
-import time
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core import configure_process, usable_cores
@@ -259,8 +259,8 @@ def _read_elsewhere(
 ) -> tuple[Held, list[AnyRecording], list[Failed]]:
     """Return recordings read by workers, and unusable recordings."""
     words = f'reading {len(bags)} recordings'
-    read = run.keep(_attempted, keep, *map(run.each, (
-        range(len(bags)), bags, list(map(os.path.abspath, bags)), values)))
+    read = run.keep(partial(_attempted, keep), range(len(bags)), bags,
+                    list(map(os.path.abspath, bags)), values)
     outcomes = run.run(itemgetter(1), read.values)
     for number in run.ended(outcomes):
         progress(words, FIT_BEGINS * number / len(bags))
@@ -276,7 +276,8 @@ def _read_elsewhere(
         raise BellowsError(
             f'None of {len(failed)} recordings can be used. The first, '
             f"'{failed[0].bag}': {failed[0].reason}")
-    return read._replace(part=0).only(usable), [outcomes[n] for n in usable], failed
+    pairs = run.keep(itemgetter(0), [read.values[n] for n in usable])
+    return pairs, [outcomes[n] for n in usable], failed
 
 
 def _identify(
@@ -348,8 +349,6 @@ ENDED = 'its process was ended from outside, twice; if memory was short, take fe
 
 class Cluster(Pool):
     """Recordings on the workers of a Dask cluster, which computes lost values again."""
-
-    clock = staticmethod(time.monotonic)
 
     def __init__(self, distributed: Any, client: Any) -> None:
         """Use a client of the module `distributed`."""

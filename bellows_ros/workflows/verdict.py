@@ -383,9 +383,6 @@ def cause_finding(cause: Cause, given: Given) -> Finding:
         name != 'unknown' and cause.share > 0.0) else ''
     if name in ('com', 'length') and cause.instead:
         return Finding('length', Level.WARN, {'offset': abs(theta[-1])})
-    if name == 'package.files':
-        return Finding('differs', Level.WARN, {
-            'off': cause.value, 'found': 'the other order', 'share': share}, name)
     if name in CORRECTED:
         topic, unit, factor = CORRECTED[name]
         sizes = ', '.join(f'{factor * abs(x):.3g} ± {factor * s:.2g} {unit}' for x, s in zip(

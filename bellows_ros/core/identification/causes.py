@@ -8,7 +8,7 @@ A cause is certain if chi² then is that of noise, and if no other quantity expl
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
@@ -22,9 +22,8 @@ from bellows_ros.core.identification.estimate import (
 )
 from bellows_ros.core.identification.residuals import BLOCK_DURATION, Part
 from bellows_ros.core.identification.result import Cause, DISTINCT, MATERIAL
-from bellows_ros.core.identification.segments import MeasuredSegment, Segments
+from bellows_ros.core.identification.segments import Segments
 from bellows_ros.core.identification.unknowns import Free, KINDS, MARKERS, weak_prior
-from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.signals.residuals import AXES, spectrum
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
@@ -89,8 +88,6 @@ def causes_of(found: Solution, given: Free) -> tuple[Cause, ...]:
     falls = significant(found, given)
     if found.fits and not falls:
         return ()
-    if not found.fits and (exchanged := exchanged_packages(found)):
-        return exchanged
     if 'slip' not in found.problem.places:
         found, falls['slip'] = with_likeliest_slip(found)
     names = sorted(falls, key=lambda name: falls[name], reverse=True)[:2]
@@ -104,7 +101,8 @@ def causes_of(found: Solution, given: Free) -> tuple[Cause, ...]:
     if found.fits:  # what contradicts no given value, and hardly moves K, is harmless
         tried = [one for one in tried if one.name in given or _moved(found, one) > MATERIAL]
     rivals = falls | gains
-    beyond = found.squares - found.residual_count + float(found.problem.weights @ found.theta**2)
+    beyond = found.total.squares - found.total.number + float(
+        found.problem.weights @ found.theta**2)
     causes = [_cause(found, one, beyond, rivals) for one in tried]
     if tried and _is_certain(tried[0], rivals, given):
         causes[0] = causes[0]._replace(certain=True)
@@ -164,7 +162,7 @@ def _is_certain(best: Alternative, rivals: Mapping[str, float], given: Free) -> 
     after, alike = best.found, (best.name, ALIKE.get(best.name, ''))
     return bool(
         after.fits and after.robust_chi2 < MAX_NOISE_CHI2
-        and after.squares < MISFIT_CHI2 * after.residual_count
+        and after.chi2 < MISFIT_CHI2
         and max((gain for name, gain in rivals.items() if name not in alike), default=0.0)
         < DISTINCT * best.gain
         and not significant(after, {name: std for name, std in given.items() if (
@@ -203,8 +201,7 @@ def _cause(
 
 def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
     """Return a solution with the likeliest instant of a slip, and its fall of chi²."""
-    worst = found.only(int(np.argmax([
-        np.sum(one.squares) / np.sum(one.counts) for one in found.sums])))
+    worst = found.only(int(np.argmax([one.squares / one.number for one in found.sums])))
 
     def at(slip_ns: int, whole: Solution) -> Solution:
         return replace(whole, problem=replace(whole.problem, slip_ns=slip_ns))
@@ -213,8 +210,8 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
     def score(slip_ns: int) -> float:
         return float(np.nan_to_num(scores(at(slip_ns, worst), ['slip'])['slip']))
 
-    ends = np.array(worst.problem.outlines[0].ends_ns)
-    begin, period = int(ends.min()), float(np.ptp(ends)) / NS_PER_S / SLIP_INSTANTS
+    begin, last = worst.problem.outlines[0].ends_ns
+    period = (last - begin) / NS_PER_S / SLIP_INSTANTS
     best = max((begin + round((k + 0.5) * period * NS_PER_S) for k in range(SLIP_INSTANTS)),
                key=score)
     while period > MIN_SLIP_PERIOD:
@@ -225,9 +222,9 @@ def with_likeliest_slip(found: Solution) -> tuple[Solution, float]:
 
 def unknown(end: Solution) -> Cause:
     """Return the axis, the second, and the frequency band (Hz) of the largest residual."""
-    begins = end.problem.held.pool.each([outline.begin_ns for outline in end.problem.outlines])
-    _, axis, span = max(begins.pool.results(_worst, begins, end.problem.held, end.parts),
-                        key=itemgetter(0))
+    begins = [outline.begin_ns for outline in end.problem.outlines]
+    _, axis, span = max(end.parts.pool.results(
+        _worst, begins, end.problem.held, end.parts), key=itemgetter(0))
     return Cause('unknown', AXES[axis], span, np.zeros(4), share=0.0, certain=False, datum=False)
 
 
@@ -246,17 +243,3 @@ def _worst(
                              1.0 / segment.period).band(BAND)
         found.append((float(means.max()), axis, np.array([second, second + 1.0, low[0], high[0]])))
     return max(found, key=itemgetter(0))
-
-
-def exchanged_packages(found: Solution) -> tuple[Cause, ...]:
-    """Return the cause of a misfit that the other order of two packages explains, if it does."""
-    problem = found.problem
-    packages = list({each.payload.mass: each.payload for each in problem.outlines}.values())
-    other = problem.changed(partial(_exchanged, packages)) if len(packages) == 2 else problem
-    return (Cause('package.files', 'exchanged'),) * (
-        other is not problem and minimise(other).fits)
-
-
-def _exchanged(packages: Sequence[Package], each: MeasuredSegment) -> MeasuredSegment:
-    """Return a part of a recording with the other one of two packages."""
-    return replace(each, payload=packages[int(each.payload.mass == packages[0].mass)])

@@ -7,10 +7,10 @@ poses are renewed with each: along the likeliest path the mean of the steps is z
 unlike the gradient of chi² along the measured one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 import math
 from typing import Any, NamedTuple
 
@@ -93,27 +93,22 @@ Parts = tuple[Part, ...]
 
 class Sums(NamedTuple):
     """
-    Sums over a recording.
+    Sums over segments.
 
-    Number (K,) and squares (K, 6) of the differences of each segment, squares (6,) without
-    whitening, m^2 and rad^2, and the sums of the logarithms of their variances and of the products
-    of neighbours.
+    Number of the differences, their squares, products of neighbours and logarithms of variances;
+    squares (6,) without whitening, m^2 and rad^2.
     """
 
-    counts: Array
-    squares: Array
-    residuals: Array
-    logs: float
+    number: int
+    squares: float
     neighbours: float
+    logs: float
+    residuals: Array
 
     @classmethod
-    def of(cls, parts: Parts) -> 'Sums':
-        """Return the sums of whitened segments."""
-        r = [part.innovations for part in parts]
-        return cls(
-            np.array([e.size for e in r]), np.array([np.sum(e**2, axis=0) for e in r]),
-            np.sum([np.sum(part.residuals**2, axis=0) for part in parts], axis=0),
-            sum(part.logs for part in parts), sum(float(np.sum(e[1:] * e[:-1])) for e in r))
+    def total(cls, sums: 'Iterable[Sums]') -> 'Sums':
+        """Return the sum of sums."""
+        return cls(*(sum(numbers) for numbers in zip(*sums, strict=True)))
 
 
 def innovations_of(parts: Parts) -> Array:
@@ -160,26 +155,25 @@ class Solution:
         return bool(np.all(np.isfinite(self.slope)))
 
     @cached_property
-    def residual_count(self) -> int:
-        """Number of differences."""
-        return int(sum(np.sum(one.counts) for one in self.sums))
+    def total(self) -> Sums:
+        """The sums over all recordings."""
+        return Sums.total(self.sums)
 
-    @cached_property
-    def squares(self) -> float:
-        """Sum of squared differences."""
-        return float(sum(np.sum(one.squares) for one in self.sums))
+    @property
+    def chi2(self) -> float:
+        """Chi^2 per difference."""
+        return self.total.squares / self.total.number
 
     @property
     def deviance(self) -> float:
         """-2 log likelihood at the best common scale of all variances."""
-        return self.residual_count * math.log(self.squares / self.residual_count) + sum(
-            one.logs for one in self.sums)
+        return self.total.number * math.log(self.chi2) + self.total.logs
 
     @property
     def misfit(self) -> float:
         """Chi² with the priors of given quantities; a deviance for estimated noise."""
         given = float(self.problem.weights @ self.theta**2)
-        return given + (self.deviance if self.problem.is_slow else self.squares)
+        return given + (self.deviance if self.problem.is_slow else self.total.squares)
 
     @cached_property
     def _median_squares(self) -> Array:
@@ -201,15 +195,8 @@ class Solution:
     @property
     def colour(self) -> float:
         """Factor of chi² by memory and tails of the noise, relative to white normal noise."""
-        kept = sum(one.neighbours for one in self.sums) / max(self.squares, 1e-99)
-        kept = min(max(kept, 0.0), 0.95)
-        return max(self.squares / self.residual_count, 1.0) * (1.0 + kept) / (1.0 - kept)
-
-    @property
-    def mean_square(self) -> Array:
-        """The mean squares (6,) of the differences of all segments, m^2 and rad^2."""
-        total = np.sum([one.residuals for one in self.sums], axis=0)
-        return np.asarray(6.0 * total / self.residual_count)
+        kept = min(max(self.total.neighbours / max(self.total.squares, 1e-99), 0.0), 0.95)
+        return max(self.chi2, 1.0) * (1.0 + kept) / (1.0 - kept)
 
     def of_each(self, function: Callable[[Segments, Any, Parts], Any]) -> list[Any]:
         """Return a function of the segments, courses and differences of each recording."""
@@ -222,11 +209,11 @@ class Solution:
 
     def only(self, number: int) -> 'Solution':
         """Return the solution of one recording alone, with its information still of all."""
-        problem = replace(self.problem, standstills=()).with_segments(
-            self.problem.held.only([number]), self.problem.outlines[number:number + 1])
+        problem = replace(self.problem, standstills=(), held=self.problem.held.only(
+            number), outlines=self.problem.outlines[number:number + 1])
         return replace(
             self, problem=problem, theta=self.theta[self.problem.index(number)],
-            courses=self.courses.only([number]), parts=self.parts.only([number]),
+            courses=self.courses.only(number), parts=self.parts.only(number),
             sums=self.sums[number:number + 1])
 
     def freed(self, more: Free, structure: Structure | None = None) -> 'Solution':
@@ -282,7 +269,7 @@ def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> flo
     return max((
         float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
         for segment, course, part in zip(segments, courses, parts, strict=True)
-        for noise in [segment.measured.package_noise] if not part.is_white
+        for noise in [segment.package_noise] if not part.is_white
         for share in np.split((course.std / noise.std) ** 2, 2)), default=0.0)
 
 
@@ -297,7 +284,7 @@ def _noise_in_motion(
             raw = np.where(h > HUBER_STD, h**2 / HUBER_STD, h)
             return np.asarray(np.sqrt(np.mean(raw**2)) * np.array(course.corners))
         if segment.is_slow and part.is_white:
-            found = np.maximum(course.std, segment.measured.package_noise.std)
+            found = np.maximum(course.std, segment.package_noise.std)
     return found
 
 
@@ -328,18 +315,18 @@ def _near(at: Solution, report: Report) -> tuple[Solution, bool]:
     used[np.ravel(at.problem.places.get('exposure', ())).astype(int)] = False
     for _ in range(MAX_STEPS[0]):
         if not at.is_finite or damping > MAX_STEP_DAMPING or (
-                at.squares < MISFIT_CHI2 * at.residual_count):
+                at.chi2 < MISFIT_CHI2):
             break
         step = _damped_step(at, at.information.damped(damping), at.slope, used)
         length = _squared_length(at, step, at.information)
         new = _moved(at, step, renewed(at, False)[0])
-        if new is None or not new.squares < MAX_SMALL_RISE * at.squares:
+        if new is None or not new.chi2 < MAX_SMALL_RISE * at.chi2:
             damping = max(10.0 * damping, DAMPING)
             continue
-        is_last = new.squares * MAX_SMALL_RISE > at.squares or (
+        is_last = new.chi2 * MAX_SMALL_RISE > at.chi2 or (
             length < TOLERANCES[0] and damping <= DAMPING)
         at, damping = new, 0.1 * damping if damping > MIN_STEP_DAMPING else 0.0
-        report(at.cup, at.squares / at.residual_count)
+        report(at.cup, at.chi2)
         if is_last:
             break
     return at, is_last
@@ -355,7 +342,7 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         at, is_last = _near(evaluated(start.problem, start.theta, start.courses), report)
     except BellowsError:
         return replace(start, converged=False)
-    if at.squares > GROSS_CHI2 * at.residual_count:  # which paths would explain in part
+    if at.chi2 > GROSS_CHI2:  # which paths would explain in part
         return replace(at, converged=is_last)
     history, damping = list[tuple[Array, Array]](), 0.0
     used, best, least = np.ones(len(at.theta), dtype=bool), at, math.inf
@@ -374,7 +361,7 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         for trial in (_anderson_step(step, at.information, history), SHORTER * step):
             new = _moved(at, trial, courses)
             if new is not None and new.deviance < at.deviance + (
-                    at.residual_count * math.log(MAX_RISE)):
+                    at.total.number * math.log(MAX_RISE)):
                 break
             new = None
         if new is None:
@@ -382,15 +369,14 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
             continue
         history = [*history, (step, new.theta - at.theta)][-ANDERSON_DEPTH:]
         at, damping = new, 0.1 * damping if damping > MIN_STEP_DAMPING else 0.0
-        report(at.cup, at.squares / at.residual_count)
+        report(at.cup, at.chi2)
     return replace(best, converged=least < LOOSE_TOLERANCE * best.colour)
 
 
 def renewed(at: Solution, with_noise: bool = True) -> tuple[Held, bool]:
     """Return the likeliest courses, and whether the noise of slow poses is nearly unchanged."""
-    held = at.problem.held
-    courses, settles = held.pool.hold(
-        _renewed, with_noise, at.problem.is_rough, held, at.courses, at.parts)
+    courses, settles = at.parts.pool.hold(
+        partial(_renewed, with_noise, at.problem.is_rough), at.problem.held, at.courses, at.parts)
     return courses, all(settles)
 
 
@@ -432,7 +418,8 @@ def _damped_step(at: Solution, information: Arrow, slope: Array, used: Mask) -> 
     problem, used = at.problem, used.copy()
     for _ in range(3):  # each strength may be stopped by the step as well
         step = information.within(used).solve(np.where(used, slope, 0.0))
-        stopped = [place[(problem.strengths(at.theta) <= MIN_STRENGTH) & (step[place] < 0.0)]
+        is_none = problem.extended('relaxation', at.theta) <= MIN_STRENGTH
+        stopped = [place[is_none & (step[place] < 0.0)]
                    for place in problem.places.get('relaxation', ())]
         if not np.size(stopped):
             break
@@ -457,7 +444,7 @@ def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
     (H, g), pool, s = problem.prior(theta), problem.held.pool, problem.shared
     indices = list(map(problem.index, range(len(problem.outlines))))
     parts, found = pool.hold(
-        _whitened, problem.local, pool.each([theta[index] for index in indices]), problem.held,
+        partial(_whitened, problem.local), [theta[index] for index in indices], problem.held,
         courses)
     rows = [(number, information, slope) for number, (_, information, slope) in enumerate(found)]
     if problem.standstills:
@@ -477,8 +464,11 @@ def _whitened(
     """Return whitened segments, their sums, information (q, q) and slope (q,)."""
     parts = tuple(residuals.evaluated(problem, theta, segment, course)
                   for segment, course in zip(segments, courses, strict=True))
-    return parts, (Sums.of(parts), *(sum(np.sum(getattr(part, name), axis=0) for part in parts)
-                                     for name in ('information', 'slope')))
+    sums = Sums.total(Sums(
+        e.size, float(np.sum(e**2)), float(np.sum(e[1:] * e[:-1])), part.logs,
+        np.sum(part.residuals**2, axis=0)) for part in parts for e in [part.innovations])
+    return parts, (sums, *(sum(np.sum(getattr(part, name), axis=0) for part in parts)
+                           for name in ('information', 'slope')))
 
 
 def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]) -> Array:

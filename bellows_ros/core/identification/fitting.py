@@ -13,9 +13,9 @@ Two clocks, two worlds and a marker anywhere on the package are also estimated, 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import count, groupby
+from itertools import count
 import math
-from operator import attrgetter, getitem
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -49,9 +49,8 @@ from bellows_ros.core.identification.segments import (
     AnyRecording,
     Held,
     here,
-    measured_segments,
-    MeasuredSegment,
     reduced,
+    Segment,
     Segments,
     segments_of,
     whole_recordings,
@@ -65,7 +64,6 @@ from bellows_ros.core.identification.unknowns import (
     NOTHING,
     Problem,
     RATIO_STD,
-    STRETCH_UNITS,
     weak_prior,
 )
 from bellows_ros.core.model.cup_package import Cup
@@ -119,7 +117,7 @@ MAX_LEVERAGE = 0.999
 
 
 def output_error(
-    measured: Held | Sequence[MeasuredSegment],
+    measured: Held | Sequence[Segment],
     structure: Structure,
     start: Cup,
     progress: Report = no_report,
@@ -138,7 +136,7 @@ def output_error(
 
     Parameters
     ----------
-    measured : Held or sequence of MeasuredSegment
+    measured : Held or sequence of Segment
         Parts of recordings of one cup: `Segments` where they are, or in this process.
     structure : Structure
         Structure of K and P: their free entries.
@@ -172,9 +170,7 @@ def output_error(
         If relaxation or stretch is 'on' and is not significant.
 
     """
-    held = measured if isinstance(measured, Held) else here([
-        segments_of(list(own)) for _, own in groupby(measured, attrgetter('recording'))])
-    problem = Problem.of(held, structure, start, free, common=common,
+    problem = Problem.of(measured, structure, start, free, common=common,
                          standstills=tuple(standstills))
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
     problem = replace(problem, free={**given, **free})
@@ -249,7 +245,8 @@ def _tried(found: Solution, extension: Extension, report: Report) -> Solution | 
 def _is_passive(found: Solution, _: Solution) -> bool:
     """Return whether the energy is positive definite in the usual range of stretch."""
     try:
-        require_stretch(found.cup.stiffness, found.problem.stretch(found.theta))
+        require_stretch(found.cup.stiffness, _pair(found.problem.extended(
+            'stretch', found.theta)))
     except BellowsError:
         return False
     return True
@@ -258,8 +255,8 @@ def _is_passive(found: Solution, _: Solution) -> bool:
 def _extrapolates(end: Solution, without: Solution) -> bool:
     """Return whether two masses determine the stretch, or stretch explains most of the misfit."""
     masses = [outline.payload.mass for outline in end.problem.outlines]
-    excess, before = (each.squares / each.residual_count - 1.0 for each in (end, without))
-    chance = CHANCE * (2.0 / end.residual_count) ** 0.5
+    excess, before = (each.chi2 - 1.0 for each in (end, without))
+    chance = CHANCE * (2.0 / end.total.number) ** 0.5
     return _is_passive(end, without) and (max(masses) >= MIN_MASS_RATIO * min(masses) or (
         chance < before - excess and excess <= MAX_MISFIT_SHARE * before + chance))
 
@@ -271,8 +268,7 @@ def _explains_most(end: Solution, without: Solution) -> bool:
     Two time constants leave 39 % of the misfit of rubber with a loss factor of 0.1, without which
     the search does not converge.
     """
-    noise = MAX_NOISE_CHI2 * end.residual_count
-    return end.squares - noise <= max(0.5 * (without.squares - noise), 0.0)
+    return end.chi2 - MAX_NOISE_CHI2 <= max(0.5 * (without.chi2 - MAX_NOISE_CHI2), 0.0)
 
 
 def _of_given(found: Solution, given: Free) -> Array:
@@ -297,8 +293,8 @@ def covariance_of(found: Solution) -> tuple[Array, Array]:
     problem, H = found.problem, found.information
     directions, pool = np.linalg.inv(np.linalg.cholesky(H.reduced)).T, problem.held.pool
     counts, squares = zip(*pool.results(
-        _influences, pool.each(list(map(H.block, range(len(problem.outlines))))),
-        pool.each([np.vstack([directions, -carried @ directions]) for carried in H.carried]),
+        _influences, list(map(H.block, range(len(problem.outlines)))),
+        [np.vstack([directions, -carried @ directions]) for carried in H.carried],
         found.parts), strict=True)
     scatter = np.maximum(1.0, _relative_variances(sum(counts), np.sum(squares, axis=0)))
     covariance = (directions * scatter) @ directions.T
@@ -331,7 +327,7 @@ def _without_last_fifth(found: Solution) -> Array:
     Other quantities keep their estimates.
     """
     problem, step = found.problem, np.zeros(len(found.theta))
-    last = problem.held.pool.results(_last_fifth, problem.count, found.parts)
+    last = problem.held.pool.results(partial(_last_fifth, problem.count), found.parts)
     information, slope = (sum(numbers) for numbers in zip(*last, strict=True))
     size = slice(problem.count)
     step[size] = np.linalg.solve(found.information.shared[size, size] - information, -slope)
@@ -376,18 +372,18 @@ def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
         samples_used=used,
         samples_rejected=poses - used,
         condition_number=inverted(information, np.sqrt(np.diag(information)))[2],
-        residual_rms=np.sqrt(found.mean_square),
+        residual_rms=np.sqrt(6.0 * found.total.residuals / found.total.number),
         notes=tuple(notes),
         misfit=Finding('misfit', Level.WARN, {'chi2': found.robust_chi2}) if (
             found.robust_chi2 > MAX_NOISE_CHI2) else None,
-        chi2=found.squares / max(found.residual_count - len(x), 1),
+        chi2=found.total.squares / max(found.total.number - len(x), 1),
         robust_chi2=found.robust_chi2 * max(found.learned, 1.0),
         converged=found.converged,
         causes=causes_of(found, given),
         standstills=(len(problem.standstills), at_rest(
             problem.local, found.theta[problem.index(0)])[2]) if problem.standstills else None,
         noise_in_motion=found.noise_in_motion,
-        stretch=problem.stretch(found.theta),
+        stretch=_pair(problem.extended('stretch', found.theta)),
         named=tuple(named),
         **_of_quantities(problem, x, own_std, np.pad(
             np.diag(from_given), (0, problem.own.size))))
@@ -411,14 +407,15 @@ def _of_quantities(
     return {
         'nuisances': {name: x[place] for name, place in nuisances.items()},
         'nuisances_std': {name: total_std[place] for name, place in nuisances.items()},
-        'stretch_std': _pair(std[places['stretch'][0]] * STRETCH_UNITS) if (
+        'stretch_std': _pair(std[places['stretch'][0]]) if (
             'stretch' in places) else (0.0, 0.0)}
 
 
 def _relaxed(fit: Fit, found: Solution, covariance: Array) -> Fit:
     """Return a fit with the strengths of relaxation, and a note if a prior gives their ratio."""
     (place,) = found.problem.places['relaxation']
-    strengths, of_strengths = found.problem.strengths(found.theta), covariance[place][:, place]
+    strengths, of_strengths = found.problem.extended(
+        'relaxation', found.theta), covariance[place][:, place]
     ratio = np.array([-DEFAULT_RATIO, 1.0])
     is_assumed = np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]
     return replace(
@@ -498,8 +495,8 @@ def registered(
         If the search does not converge, unless the clock alone is free.
 
     """
-    segments = here([segments_of(measured_segments(recording))])
-    found = minimise(Problem.of(segments, structure, start, free, is_rough=True))
+    found = minimise(Problem.of(
+        segments_of(recording), structure, start, free, is_rough=True))
     if found.converged:
         return found
     if list(free) == ['time_offset']:
@@ -532,7 +529,7 @@ def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
     """Return the parts of a recording for a fit."""
     is_simulated, structure = values.fit.method == 'output_error', given_structure(values)
     return (
-        segments_of(measured_segments(recording, number)) if is_simulated else (),
+        segments_of(recording, number) if is_simulated else (),
         recording.cached(('statistics', values.cup.length, structure), partial(
             statistics, samples_of(recording), values.cup.length, structure,
             recording.noise)))
@@ -623,7 +620,7 @@ def fitted(
     if pairs is None:
         pairs = here([
             pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))])
-    structure, sums = given_structure(values), pairs.pool.results(getitem, pairs, 1)
+    structure, sums = given_structure(values), pairs.pool.results(itemgetter(1), pairs)
     if values.fit.method == 'least_squares':
         return least_squares(sums)
     start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
@@ -633,7 +630,7 @@ def fitted(
     named = tuple(dict.fromkeys([
         *values.fit.free, *['package_world'] * any(part.package_world for part in parts)]))
     return output_error(
-        pairs.pool.keep(getitem, pairs, 0), structure, start,
+        pairs.pool.keep(itemgetter(0), pairs), structure, start,
         partial(_report, progress, count(1)) if progress else no_report, weak_prior(named), named,
         values.fit.relaxation, {} if exactly else given_std(values), given,
         richest_structure(values) if values.fit.structure == AUTO else None,

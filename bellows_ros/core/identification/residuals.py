@@ -22,7 +22,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask, Places, Stamps
+from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.identification.result import CHANCE
 from bellows_ros.core.identification.segments import (
     Course,
@@ -31,7 +31,7 @@ from bellows_ros.core.identification.segments import (
     ROW_NS,
     Segment,
 )
-from bellows_ros.core.identification.unknowns import gravity_of, payload_of, Problem
+from bellows_ros.core.identification.unknowns import delayed, gravity_of, payload_of, Problem
 from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import linearise
@@ -56,92 +56,62 @@ def noise_spectrum(noise: BodyNoise, period: float, frequency: Array) -> Array:
     return np.asarray(period * noise.std**2 * (1.0 - memory**2) / turn)
 
 
-class Response(NamedTuple):
-    """Responses to noise of the tool: of the package (F, 6, 6), and of the path (2, F)."""
+class Filters(NamedTuple):
+    """
+    Filters of differences at F frequencies of a padded series.
+
+    Response G (F, 6, 6) of the package to noise of the tool, responses (2, F) of the path and its
+    slope to that noise, filter (F, 6, 6) to white noise of variance 1, and filter (F, 6, 6) from
+    white noise to the likeliest noise of the tool, m and rad; variances (6,) by the tool, and sum
+    of the logarithms of all variances of a series.
+    """
 
     package: Array
     path: Array
-
-    @classmethod
-    def of(
-        cls, model: ModelTuple, tool: State, body: State, weights: Array, period: float,
-        frequency: Array,
-    ) -> 'Response':
-        """
-        Return the responses of a linear model.
-
-        Parameters
-        ----------
-        model, tool, body : tuples
-            Model and the state at rest about which it is linear.
-        weights : ndarray (3, 2n+1)
-            Weights of the filter of the tool's path.
-        period : float
-            Time between poses of the tool, s.
-        frequency : ndarray (F,)
-            Frequencies, Hz.
-
-        """
-        lags = np.arange(weights.shape[1]) - weights.shape[1] // 2
-        iw = 2j * np.pi * frequency
-        path: Any = weights[:2] @ np.exp(period * np.outer(lags, iw))
-        path[:, frequency > 0.5 / period] = 0.0
-        by = linearise(model, tool, body)
-        left = iw[:, None, None] ** 2 * np.eye(6) - iw[:, None, None] * by.body_twist - (
-            by.body_pose)
-        right = path[0, :, None, None] * (by.tool_pose + iw[:, None, None] * by.tool_twist)
-        return cls(np.asarray(np.linalg.solve(left, right)), np.asarray(path))
-
-
-class Whitening(NamedTuple):
-    """
-    Filter that whitens series (N, 6) of differences.
-
-    Spectrum (F, 6, 6) of the differences times their rate, inverse root (F, 6, 6), spectrum (F, 6)
-    of the tool's noise times the rate of the differences, and the responses to it.
-    """
-
-    total: Array
-    inverse: Array
+    whitening: Array
+    likeliest: Array
     of_tool: Array
-    response: Response
+    logs: float
 
     @classmethod
-    def of(cls, package: Array, tool: Array, rate: float, response: Response) -> 'Whitening':
-        """Return the filter for spectra (F, 6) of both bodies, and the rate of differences, Hz."""
-        G = response.package
-        C = rate * ((G * tool[:, None]) @ _adjoint(G) + (
-            package[:, :, None] * np.eye(6)))
-        return cls(C, np.linalg.inv(np.linalg.cholesky(C)), rate * tool, response)
+    def of(cls, problem: Problem, theta: Array, segment: Segment, course: Course) -> 'Filters':
+        """Return the filters of a segment about its first rest; theta is local."""
+        period, count = segment.bin_ns / NS_PER_S, len(segment.bins_ns)
+        padded = 2 * ((count + round(PADDING / period) + 1) // 2)
+        frequency = np.asarray(np.fft.rfftfreq(padded, period), np.float64)
+        G, path = _responses(problem, theta, segment, course, frequency)
+        of_package, of_tool = (noise_spectrum(noise, step, frequency) / period for noise, step in (
+            (segment.package_noise._replace(std=course.std), segment.period),
+            (segment.tool_noise, segment.tool_period)))
+        by_tool = (G * of_tool[:, None]) @ _adjoint(G)
+        root = np.linalg.inv(np.linalg.cholesky(by_tool + of_package[:, :, None] * np.eye(6)))
+        logs = -4.0 * float(np.sum(np.log(np.abs(np.einsum('fii->fi', root)))))
+        return cls(
+            G, path, root, -of_tool[:, :, None] * _adjoint(G) @ _adjoint(root),
+            np.mean(np.einsum('fii->fi', by_tool).real, axis=0), logs / padded)
 
-    @property
-    def logs(self) -> float:
-        """Sum of the logarithms of all variances, of a padded series."""
-        return -4.0 * float(np.sum(np.log(np.abs(np.einsum('fii->fi', self.inverse)))))
 
-    def whitened(self, series: Array) -> Array:
-        """Return series (N, 6, q) as white noise of variance 1."""
-        return filtered(self.inverse, series)
-
-    def likeliest(self, white: Array) -> Array:
-        """Return the likeliest noise (N, 6) of the tool, m and rad, by white noise (N, 6)."""
-        gain = -self.of_tool[:, :, None] * _adjoint(self.response.package) @ _adjoint(self.inverse)
-        return filtered(gain, white[..., None])[..., 0]
+def _responses(
+    problem: Problem, theta: Array, segment: Segment, course: Course, frequency: Array
+) -> tuple[Array, Array]:
+    """Return the responses of package and path to noise of the tool, see `Filters`."""
+    model = problem.model(theta, segment)
+    plain: ModelTuple = (model[0][:4], *model[1:])  # without internal strains
+    tool = np.append(course.rows[0, :7], np.zeros(6))
+    by = linearise(plain, simulation.row_state(tool), _first_state(plain, tool, np.zeros(12)))
+    lags, iw = np.arange(segment.weights.shape[1]) - segment.weights.shape[1] // 2, (
+        2j * np.pi * frequency)
+    path: Any = segment.weights[:2] @ np.exp(segment.tool_period * np.outer(lags, iw))
+    path[:, frequency > 0.5 / segment.tool_period] = 0.0
+    iw = iw[:, None, None]
+    G = np.linalg.solve(iw**2 * np.eye(6) - iw * by.body_twist - by.body_pose,
+                        path[0, :, None, None] * (by.tool_pose + iw * by.tool_twist))
+    return np.asarray(G), np.asarray(path)
 
 
 def _adjoint(matrices: Array) -> Array:
     """Return conjugate transposes of matrices (F, 6, 6)."""
     return np.conj(np.swapaxes(matrices, 1, 2))
-
-
-def padded(count: int, period: float) -> int:
-    """Return the length of a padded series."""
-    return 2 * ((count + round(PADDING / period) + 1) // 2)
-
-
-def frequencies(count: int, period: float) -> Array:
-    """Return those (F,) of a padded series, Hz."""
-    return np.asarray(np.fft.rfftfreq(padded(count, period), period))
 
 
 def filtered(response: Array, series: Array) -> Array:
@@ -229,31 +199,6 @@ class Part(NamedTuple):
         return bool(np.max(np.abs(correlation), initial=0.0) < limit)
 
 
-class Differences(NamedTuple):
-    """
-    Differences at their bins.
-
-    Differences (N, 6) of measured and simulated poses or views, derivatives (N, 6, q + 12) of the
-    simulated ones by the unknowns and the first state, and the mask (N,) of bins with a pose.
-    """
-
-    values: Array
-    columns: Array
-    used: Mask
-
-
-class Simulation(NamedTuple):
-    """
-    Simulations of the package of a segment.
-
-    States (M, 13) at the rows, and derivatives (M, 6, q + 12) of the poses in body axes by the
-    unknowns and the first state.
-    """
-
-    rows: Array
-    columns: Array
-
-
 def model_step(problem: Problem, theta: Array, segment: Segment) -> float:
     """Return the longest step (s) of the integrator, or raise for too fast a cup."""
     longest, first = (COARSE_FACTOR * equilibrium.largest_step(problem.model(each, segment))
@@ -324,8 +269,12 @@ def simulated(
 
 def simulation_of(
     problem: Problem, theta: Array, segment: Segment, course: Course
-) -> Simulation:
-    """Return the simulation with its derivatives."""
+) -> tuple[Array, Array]:
+    """
+    Return the package's states (M, 13) at the rows, and derivatives (M, 6, q + 12) of its poses.
+
+    They are in body axes, by the unknowns and the first state.
+    """
     steps = int(equilibrium.substeps_for(
         ROW_NS / NS_PER_S, model_step(problem, theta, segment)))
     moving = [j for name, row in problem.rows.items() if name not in SENSED for j in row]
@@ -351,7 +300,7 @@ def simulation_of(
         columns[:, :3, place] = lie.apply(inverse, other[:, :3] - base[:, :3]) / length
         turn = lie.quaternion_product(conjugate, other[:, 3:7])
         columns[:, 3:, place] = 2.0 * turn[:, :3] * np.sign(turn[:, 3:]) / length
-    return Simulation(base, columns)
+    return base, columns
 
 
 SENSED = frozenset({
@@ -381,38 +330,45 @@ def at_stamps(rows_ns: Stamps, values: Array, stamps: Stamps) -> Array:
 
 def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) -> Part:
     """Return a segment's whitened differences, linearised about a course; theta is local."""
-    moved = simulation_of(problem, theta, segment, course)
-    free = problem.values(theta)
-    delay, rate = (float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate'))
-    since = segment.package.stamps_ns - round(segment.middle[3] * NS_PER_S)
-    stamps = segment.package.stamps_ns + np.rint(
-        delay * NS_PER_S + rate * since).astype(np.int64)
+    states, columns = simulation_of(problem, theta, segment, course)
+    stamps = delayed(segment.package.stamps_ns, problem.values(theta), segment.middle)
     used = (stamps >= segment.rows_ns[0]) & (stamps <= segment.rows_ns[-1])
-    used &= (segment.place >= 0) & (segment.place < segment.bins)
+    place = (segment.package.stamps_ns - segment.bins_ns[0] + segment.bin_ns // 2) // (
+        segment.bin_ns)
+    used &= (place >= 0) & (place < len(segment.bins_ns))
     if not used.any():
         raise BellowsError('No package pose lies within the motion of the tool.')
+    chosen = np.flatnonzero(used)[np.argsort(stamps[used], kind='stable')]
+    stamps = stamps[chosen]
+    package = resample(simulation.trajectory_of(segment.rows_ns, states), stamps)
+    bend = at_stamps(segment.rows_ns, _accelerations(states), stamps)
     if segment.views is not None and not problem.is_rough:
-        return _part_of_views(problem, theta, segment, course, moved, stamps, used)
-    return _part_of_poses(problem, theta, segment, course, moved, stamps, used)
+        seen: Seen = segment.views.select(chosen).seen(
+            np.hstack([simulation.tool_rows(package), bend]), course.corners,
+            problem.values(theta), problem.rows, problem.units, segment.context)
+        J = seen.maps @ at_stamps(segment.rows_ns, columns, stamps)
+        return _part_of_views(seen, J, segment, course)
+    e, own = _differences(problem, theta, segment, chosen, package, bend)
+    starts = np.flatnonzero(np.diff(place[chosen], prepend=-1))
+    counts = np.diff(starts, append=len(chosen))
+
+    def means(values: Array) -> Array:
+        return (np.add.reduceat(values, starts, axis=0).T / counts).T
+
+    J = at_stamps(segment.rows_ns, columns, stamps[0] + np.rint(
+        means(stamps - stamps[0])).astype(np.int64))
+    J[:, :, :len(theta)] += means(own)
+    return _part_of_poses(problem, theta, segment, course, means(e), J, place[chosen][starts])
 
 
-def _package_at(segment: Segment, rows: Array, stamps: Stamps) -> Trajectory:
-    """Return the simulated package at stamps."""
-    return resample(simulation.trajectory_of(segment.rows_ns, rows), stamps)
-
-
-def _part_of_poses(
-    problem: Problem, theta: Array, segment: Segment, course: Course, moved: Simulation,
-    stamps: Stamps, used: Mask,
-) -> Part:
-    """Return the whitened differences of a tracked body."""
-    free, size, bins = problem.values(theta), len(theta), segment.bins
-    order = np.argsort(stamps[used], kind='stable')
-    chosen = np.flatnonzero(used)[order]
-    stamps, place, poses = stamps[chosen], segment.place[chosen], segment.package.select(chosen)
-    there = body.poses_of(poses, free, *segment.context)
-    package = _package_at(segment, moved.rows, stamps)
+def _differences(
+    problem: Problem, theta: Array, segment: Segment, chosen: Places, package: Trajectory,
+    bend: Array,
+) -> tuple[Array, Array]:
+    """Return differences (N, 6) of chosen poses from simulated ones, and derivatives (N, 6, q)."""
     assert package.twist is not None
+    free, size = problem.values(theta), len(theta)
+    there = body.poses_of(segment.package.select(chosen), free, *segment.context)
     inverse = np.swapaxes(package.rotation, 1, 2)
     e = np.hstack([lie.apply(inverse, there.position - package.position),
                    lie.log_so3(inverse @ there.rotation)])
@@ -420,87 +376,47 @@ def _part_of_poses(
     for name in problem.rows.keys() & set(body.CLOCKS):
         columns[:, :, problem.rows[name]] *= package.twist[:, :, None]
     if 'exposure' in problem.rows and segment.views is None:
-        bend = body.EXPOSURE**2 / 24.0 * at_stamps(
-            segment.rows_ns, _accelerations(moved.rows), stamps)
+        bend = body.EXPOSURE**2 / 24.0 * bend
         e -= free['exposure'] * bend
         columns[:, :, problem.rows['exposure']] = bend[:, :, None]
-    counts = np.bincount(place, minlength=bins).astype(float)
-    seen = counts > 0
-    mean_ns = np.full(bins, 0, dtype=np.int64)
-    mean_ns[seen] = stamps[0] + np.rint(
-        _sums(place, stamps - stamps[0], bins)[seen] / counts[seen]).astype(np.int64)
-    values, own = np.zeros((bins, 6)), np.zeros((bins, 6, size))
-    values[seen] = _sums(place, e, bins)[seen] / counts[seen, None]
-    own[seen] = _sums(place, columns * problem.units, bins)[seen] / counts[seen, None, None]
-    J = np.zeros((bins, 6, size + 12))
-    J[seen] = at_stamps(segment.rows_ns, moved.columns, mean_ns[seen])
-    J[:, :, :size] += own
-    for array in (values, J):
-        _fill(array, seen)
-    return _whitened(problem, theta, segment, course, Differences(values, J, seen))
+    return e, columns * problem.units
 
 
-def _sums(place: Places, values: Array, count: int) -> Array:
-    """Return sums (count, ...) of values (N, ...) at ascending places (N,)."""
-    out = np.zeros((count, *values.shape[1:]))
-    first = np.flatnonzero(np.diff(place, prepend=-1))
-    out[place[first]] = np.add.reduceat(values, first, axis=0)
-    return out
+def _spread(values: Array, known: Places, count: int) -> Array:
+    """Return values (count, ...), linear between those (K, ...) at known places (K,)."""
+    x = np.interp(np.arange(count), known, np.arange(len(known)))
+    before = x.astype(np.int64)
+    part = (x - before).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1.0 - part) * values[before] + part * values[np.minimum(
+        before + 1, len(known) - 1)])
 
 
-def _fill(values: Array, seen: Mask) -> None:
-    """Interpolate values (N, ...) linearly where nothing is seen."""
-    lost, known = np.flatnonzero(~seen), np.flatnonzero(seen)
-    if not len(lost):
-        return
-    after = np.clip(np.searchsorted(known, lost), 1, max(len(known) - 1, 1))
-    after = np.minimum(after, len(known) - 1)
-    a, b = known[np.maximum(after - 1, 0)], known[after]
-    part = np.clip((lost - a) / np.maximum(b - a, 1), 0.0, 1.0).reshape(
-        -1, *[1] * (values.ndim - 1))
-    values[lost] = (1.0 - part) * values[a] + part * values[b]
-
-
-def _whitened(
-    problem: Problem, theta: Array, segment: Segment, course: Course, found: Differences
+def _part_of_poses(
+    problem: Problem, theta: Array, segment: Segment, course: Course, e: Array, J: Array,
+    known: Places,
 ) -> Part:
-    """Return differences whitened in the frequency domain."""
-    measured, period = segment.measured, segment.bin_ns / NS_PER_S
-    model = problem.model(theta, segment)
-    frequency = frequencies(segment.bins, period)
-    tool = simulation.row_state(course.rows[0])
-    plain: ModelTuple = (model[0][:4], *model[1:])
-    rest = _first_state(plain, np.append(course.rows[0, :7], np.zeros(6)), np.zeros(12))
-    still: State = tool[0], tool[1], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    response = Response.of(
-        plain, still, rest, segment.weights, segment.tool_period, frequency)
-    of_poses = noise_spectrum(
-        measured.package_noise._replace(std=course.std), segment.period, frequency)
-    whitening = Whitening.of(
-        of_poses, noise_spectrum(measured.tool_noise, segment.tool_period, frequency),
-        1.0 / period, response)
-    values = found.values - filtered(response.package, course.noise[..., None])[..., 0]
-    white = whitening.whitened(np.concatenate([values[..., None], found.columns], axis=2))
-    innovations, J, slope, start, weight = _weighted(
-        white[found.used][..., 0], white[found.used][..., 1:], course.start)
-    explaining = np.zeros((segment.bins, 6))
-    explaining[found.used] = weight * slope
-    likeliest = course.noise + PATH_PART * (whitening.likeliest(explaining) - course.noise)
-    bins_ns = segment.bins_ns + segment.bin_ns * np.arange(segment.bins)
-    on_rows = [at_stamps(bins_ns, filtered(
+    """Return differences (K, 6) at known bins (K,), whitened in the frequency domain."""
+    count, filters = len(segment.bins_ns), Filters.of(problem, theta, segment, course)
+    values = _spread(e, known, count) - filtered(
+        filters.package, course.noise[..., None])[..., 0]
+    white = filtered(filters.whitening, np.concatenate([
+        values[..., None], _spread(J, known, count)], axis=2))[known]
+    innovations, J, slope, start, weight = _weighted(white[..., 0], white[..., 1:], course.start)
+    explaining = np.zeros((count, 6))
+    explaining[known] = weight * slope
+    likeliest = course.noise + PATH_PART * (
+        filtered(filters.likeliest, explaining[..., None])[..., 0] - course.noise)
+    on_rows = [at_stamps(segment.bins_ns, filtered(
         -path[:, None, None] * np.eye(6), likeliest[..., None])[..., 0], segment.rows_ns)
-        for path in response.path]
-    of_tool = np.sqrt(np.mean(
-        np.einsum('fii->fi', whitening.total).real - of_poses / period, axis=0))
-    squares = values[found.used] ** 2
+        for path in filters.path]
+    squares = values[known] ** 2
     total = np.mean(np.minimum(
         squares, HUBER_STD**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
-    std = np.sqrt(np.maximum(total - of_tool**2, 0.1 * total))
+    std = np.sqrt(np.maximum(total - filters.of_tool, 0.1 * total))
     return Part(
-        innovations, found.values[found.used],
-        whitening.logs * np.count_nonzero(found.used) / padded(segment.bins, period),
+        innovations, e, filters.logs * len(known),
         course._replace(rows=segment.moved(np.hstack(on_rows)), noise=likeliest, start=start),
-        np.maximum(std, MIN_POSE_STD), *_blocks(J, slope, period), np.empty(0))
+        np.maximum(std, MIN_POSE_STD), *_blocks(J, slope, segment.bin_ns / NS_PER_S), np.empty(0))
 
 
 def _accelerations(rows: Array) -> Array:
@@ -510,20 +426,9 @@ def _accelerations(rows: Array) -> Array:
     return rates
 
 
-def _part_of_views(
-    problem: Problem, theta: Array, segment: Segment, course: Course, moved: Simulation,
-    stamps: Stamps, used: Mask,
-) -> Part:
-    """Return the whitened differences of a tag."""
-    assert segment.views is not None
-    package = _package_at(segment, moved.rows, stamps[used])
-    motion = np.hstack([simulation.tool_rows(package), at_stamps(
-        segment.rows_ns, _accelerations(moved.rows), stamps[used])])
-    seen: Seen = segment.views.select(used).seen(
-        motion, course.corners, problem.values(theta), problem.rows, problem.units,
-        segment.context)
-    J = seen.maps @ at_stamps(segment.rows_ns, moved.columns, stamps[used])
-    J[:, :, :len(theta)] += seen.columns
+def _part_of_views(seen: Seen, J: Array, segment: Segment, course: Course) -> Part:
+    """Return the whitened differences of a tag by the derivatives (N, 6, q + 12) of poses."""
+    J[:, :, :seen.columns.shape[2]] += seen.columns
     scale = 1.0 / np.sqrt(seen.variance)
     innovations, J, slope, start, _ = _weighted(
         seen.residuals * scale[:, None], J * scale[:, None, None], course.start)

@@ -12,16 +12,15 @@ recording has the facts without rows and poses.
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property
 from operator import itemgetter
-import time
 from typing import Any, NamedTuple
 
 from bellows_ros.core import usable_cores
 from bellows_ros.core.findings import Finding
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Places, Stamps
+from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.identification.least_squares import envelope, samples_of
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
@@ -57,80 +56,6 @@ MIN_POSE_STD = np.repeat([1e-6, 1e-5], 3)
 """Smallest noise of a pose, m and rad: twice the error by rows and means over 10 ms at 25 Hz."""
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredSegment:
-    """
-    A part of a recording with a measured tool.
-
-    Parameters
-    ----------
-    tool : Trajectory
-        Poses of E in the world at a uniform rate; missing or wrong ones are invalid.
-    package : Trajectory
-        Poses of B, at any stamps.
-    payload : Package
-        Mass, inertia and centre of mass of the package in this recording.
-    gravity : float or array (3,)
-        m/s^2 along -z of the world, or as a vector there.
-    tool_noise, package_noise : BodyNoise
-        Noise of the measured poses.
-    recording : int
-        Index of the recording.
-    moves_with_com : tuple of 3 bool
-        Components of the com that shift the poses of B, as poses of the lip are measured.
-    middle : ndarray (4,), optional
-        Point (m) about which the package's world may rotate, and start (s) of its possible drift;
-        see `body.middle_of`.
-    world : str
-        World of the recording, the parameter recording.world.
-    views : TagViews or None
-        Corners of a tag on the package, at stamps of all its poses; None for a tracked body.
-
-    """
-
-    tool: Trajectory
-    package: Trajectory
-    payload: Package
-    gravity: Array | float
-    tool_noise: BodyNoise
-    package_noise: BodyNoise
-    recording: int = 0
-    moves_with_com: tuple[bool, bool, bool] = (False, False, False)
-    middle: Array | None = None
-    world: str = 'z_up'
-    views: TagViews | None = None
-
-
-def measured_segments(recording: Recording, number: int = 0) -> list[MeasuredSegment]:
-    """
-    Return the parts of a recording between gaps of the tool that cannot be bridged.
-
-    Raises
-    ------
-    UndeterminedError
-        If no part is long enough.
-
-    """
-    bodies = tool, package = recording.aligned_tool, recording.tracked_package
-    noises = (noise._replace(std=np.maximum(noise.std, MIN_POSE_STD))
-              for noise in recording.body_noise)
-    context: tuple[Any, ...] = (
-        recording.payload, recording.settings.gravity, *noises, number,
-        recording.settings.moves_with_com, body.middle_of(package), recording.settings.world,
-        recording.views)
-    motions = []
-    for first, last, _ in recording.segments:
-        tool, package = (each.select((each.stamps_ns >= first) & (each.stamps_ns <= last))
-                         for each in bodies)
-        if last - first > MIN_SEGMENT * NS_PER_S and package.valid.any():
-            motions.append(MeasuredSegment(tool, package, *context))
-    if not motions:
-        raise UndeterminedError(
-            f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked: record longer, '
-            "and without gaps. 'bellows info' lists them.")
-    return motions
-
-
 class Course(NamedTuple):
     """
     The current likeliest motion of a segment.
@@ -160,67 +85,97 @@ class Course(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Segment:
     """
-    A part of a recording, prepared for a fit.
+    A part of a recording with a measured tool.
 
     Parameters
     ----------
-    measured : MeasuredSegment
-        Measured segment.
-    rows_ns : int ndarray (M,)
-        Stamps of the rows of the path, ns.
-    rows : ndarray (M, 13)
-        States of the tool along its measured path.
-    weights : ndarray (3, 2n+1)
-        Weights of the filter of the path.
-    span_ns : tuple of (int, int)
-        First and last stamp of the recording.
+    tool : Trajectory
+        Poses of E in the world at a uniform rate; missing or wrong ones are invalid.
+    package : Trajectory
+        Valid poses of B, at any stamps.
+    payload : Package
+        Mass, inertia and centre of mass of the package in this recording.
+    gravity : float or array (3,)
+        m/s^2 along -z of the world, or as a vector there.
+    tool_noise, package_noise : BodyNoise
+        Noise of the measured poses.
+    recording : int
+        Index of the recording.
+    moves_with_com : tuple of 3 bool
+        Components of the com that shift the poses of B, as poses of the lip are measured.
+    of_recording : tuple, optional
+        Point (m) about which the package's world may rotate, with the start (s) of its possible
+        drift (4,), see `body.middle_of`; and the first and last stamp (ns) of the recording.
+        Default: those of the segment.
+    views : TagViews or None
+        Corners of a tag on the package, at stamps of its poses; None for a tracked body.
+    rejected : int
+        Number of invalid poses of the package.
 
     """
 
-    measured: MeasuredSegment
-    rows_ns: Stamps
-    rows: Array
-    weights: Array
-    span_ns: tuple[int, int]
+    tool: Trajectory
+    package: Trajectory
+    payload: Package
+    gravity: Array | float
+    tool_noise: BodyNoise
+    package_noise: BodyNoise
+    recording: int = 0
+    moves_with_com: tuple[bool, bool, bool] = (False, False, False)
+    of_recording: tuple[Array, int, int] | None = None
+    views: TagViews | None = None
+    rejected: int = 0
 
-    @classmethod
-    def of(cls, measured: MeasuredSegment) -> 'Segment':
-        """Return a prepared part of a recording."""
-        tool = bridged(measured.tool)
+    @cached_property
+    def _path(self) -> tuple[Stamps, Array, Array]:
+        tool = bridged(self.tool)
         rate = uniform_rate_hz(tool.stamps_ns)
         path = savgol(tool, max(round(HALF_WINDOW * rate), PATH_ORDER // 2 + 1), PATH_ORDER)
         first, last = path.stamps_ns[[0, -1]].tolist()
-        seen = measured.package.stamps_ns[measured.package.valid]
-        first = max(first, int(seen[0]) - ROW_NS)
-        rows_ns = np.arange(first, last + 1, ROW_NS)
-        return cls(measured, rows_ns, simulation.tool_rows(resample(path, rows_ns)), path.weights,
-                   (first, last))
+        rows_ns = np.arange(max(first, int(self.package.stamps_ns[0]) - ROW_NS), last + 1, ROW_NS)
+        return rows_ns, simulation.tool_rows(resample(path, rows_ns)), path.weights
+
+    @property
+    def rows_ns(self) -> Stamps:
+        """Stamps (M,) of the rows of the path, ns."""
+        return self._path[0]
+
+    @property
+    def rows(self) -> Array:
+        """States (M, 13) of the tool along its measured path."""
+        return self._path[1]
+
+    @property
+    def weights(self) -> Array:
+        """Weights (3, 2n+1) of the filter of the path."""
+        return self._path[2]
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp of the recording, ns."""
+        ends = self.tool.stamps_ns[[0, -1]].tolist() if self.of_recording is None else (
+            self.of_recording[1:])
+        return ends[0], ends[1]
 
     @cached_property
-    def package(self) -> Trajectory:
-        """The valid poses of the package."""
-        return self.measured.package.select(self.measured.package.valid)
-
-    @cached_property
-    def views(self) -> TagViews | None:
-        """Views of a tag at the valid poses."""
-        views = self.measured.views
-        return None if views is None else views.at(self.package.stamps_ns)
+    def middle(self) -> Array:
+        """Middle of the package, see `body.middle_of`."""
+        return body.middle_of(self.package) if self.of_recording is None else self.of_recording[0]
 
     @cached_property
     def period(self) -> float:
         """Median time between poses of the package, s."""
-        return float(np.median(np.diff(self.measured.package.stamps_ns))) / NS_PER_S
+        return float(np.median(np.diff(self.package.stamps_ns))) / NS_PER_S
 
     @property
     def tool_period(self) -> float:
         """Time between poses of the tool, s."""
-        return 1.0 / uniform_rate_hz(self.measured.tool.stamps_ns)
+        return 1.0 / uniform_rate_hz(self.tool.stamps_ns)
 
     @property
     def is_slow(self) -> bool:
         """Whether the noise of the package's poses is estimated jointly with K and P."""
-        return self.measured.views is not None or self.period * LOW_RATE_HZ > 1.0
+        return self.views is not None or self.period * LOW_RATE_HZ > 1.0
 
     @property
     def bin_ns(self) -> int:
@@ -229,41 +184,23 @@ class Segment:
         return period * -(-ROW_NS // period)
 
     @cached_property
-    def place(self) -> Places:
-        """Bin (N,) of each valid pose of the package."""
-        since = self.package.stamps_ns - self.bins_ns
-        return np.asarray((since + self.bin_ns // 2) // self.bin_ns)
-
-    @property
-    def bins_ns(self) -> int:
-        """Stamp of the first bin, ns."""
-        return int(max(self.rows_ns[0], self.package.stamps_ns[0]))
-
-    @property
-    def bins(self) -> int:
-        """Number of bins."""
-        last = min(int(self.rows_ns[-1]), int(self.package.stamps_ns[-1]))
-        return max((last - self.bins_ns + self.bin_ns // 2) // self.bin_ns + 1, 1)
+    def bins_ns(self) -> Stamps:
+        """Stamps of the bins, ns."""
+        first = int(max(self.rows_ns[0], self.package.stamps_ns[0]))
+        last = int(min(self.rows_ns[-1], self.package.stamps_ns[-1]))
+        return np.arange(first, max(first, last) + self.bin_ns // 2 + 1, self.bin_ns)
 
     @property
     def context(self) -> body.Context:
         """Context of the nuisances of poses."""
-        views = self.measured.views
-        camera = views.tag.T_world_camera[:3, 3] if views else 0.0
-        return np.array(self.measured.moves_with_com, float), self.middle, camera
-
-    @cached_property
-    def middle(self) -> Array:
-        """Middle of the package, see `body.middle_of`."""
-        own = self.measured.middle
-        return body.middle_of(self.package) if own is None else own
+        camera = self.views.tag.T_world_camera[:3, 3] if self.views else 0.0
+        return np.array(self.moves_with_com, float), self.middle, camera
 
     @cached_property
     def first(self) -> Course:
         """The motion as measured."""
-        views = self.measured.views
-        return Course(self.rows, np.zeros((self.bins, 6)), np.zeros(12),
-                      self.measured.package_noise.std, views.tag.noise if views else USUAL_NOISE)
+        return Course(self.rows, np.zeros((len(self.bins_ns), 6)), np.zeros(12),
+                      self.package_noise.std, self.views.tag.noise if self.views else USUAL_NOISE)
 
     def moved(self, shift: Array) -> Array:
         """
@@ -283,11 +220,35 @@ Segments = tuple[Segment, ...]
 """Those of one recording."""
 
 
-def segments_of(measured: Sequence[MeasuredSegment]) -> Segments:
-    """Return the prepared parts of a recording."""
-    parts = list(map(Segment.of, measured))
-    span = parts[0].span_ns[0], parts[-1].span_ns[1]
-    return tuple(replace(part, span_ns=span) for part in parts)
+def segments_of(recording: Recording, number: int = 0) -> Segments:
+    """
+    Return the parts of a recording between gaps of the tool that cannot be bridged.
+
+    Raises
+    ------
+    UndeterminedError
+        If no part is long enough.
+
+    """
+    tool, package = recording.aligned_tool, recording.tracked_package
+    of_tool, of_package = (noise._replace(std=np.maximum(noise.std, MIN_POSE_STD))
+                           for noise in recording.body_noise)
+    spans, views, parts = recording.segments, recording.views, []
+    for first, last, _ in spans:
+        poses, seen = (each.select((each.stamps_ns >= first) & (each.stamps_ns <= last))
+                       for each in (tool, package))
+        if last - first > MIN_SEGMENT * NS_PER_S and seen.valid.any():
+            valid = seen.select(seen.valid)
+            parts.append(Segment(
+                poses, valid, recording.payload, recording.settings.gravity, of_tool, of_package,
+                number, recording.settings.moves_with_com,
+                (body.middle_of(package), spans[0].first_ns, spans[-1].last_ns),
+                views and views.at(valid.stamps_ns), len(seen) - len(valid)))
+    if not parts:
+        raise UndeterminedError(
+            f'No segment of {MIN_SEGMENT:g} s in which both bodies are tracked: record longer, '
+            "and without gaps. 'bellows info' lists them.")
+    return tuple(parts)
 
 
 class Outline(NamedTuple):
@@ -296,39 +257,34 @@ class Outline(NamedTuple):
 
     Parameters
     ----------
-    payload, world, moves_with_com
-        As of its segments.
-    is_slow, is_tag : bool
-        Whether its poses come slowly, and whether they are of a tag.
+    payload : Package
+        The package in the recording.
+    is_slow : bool
+        Whether its poses come slowly.
     poses : tuple of (int, int)
         Number of poses of the package, and of valid ones.
     begin_ns : int
         Stamp of the first pose.
     ends_ns : tuple of (int, int)
-        First and last stamp of each segment.
+        First and last stamp of the paths of the tool.
 
     """
 
     payload: Package
-    world: str
-    moves_with_com: tuple[bool, bool, bool]
     is_slow: bool
-    is_tag: bool
     poses: tuple[int, int]
     begin_ns: int
-    ends_ns: tuple[tuple[int, int], ...]
+    ends_ns: tuple[int, int]
 
 
 def outline_of(segments: Segments) -> Outline:
     """Return the outline of a recording."""
-    measured = segments[0].measured
+    used = sum(len(segment.package) for segment in segments)
     return Outline(
-        measured.payload, measured.world, measured.moves_with_com,
-        any(segment.is_slow for segment in segments), measured.views is not None,
-        (sum(len(segment.measured.package) for segment in segments),
-         sum(len(segment.package) for segment in segments)),
-        int(min(segment.package.stamps_ns[0] for segment in segments)),
-        tuple((int(segment.rows_ns[0]), int(segment.rows_ns[-1])) for segment in segments))
+        segments[0].payload, any(segment.is_slow for segment in segments),
+        (used + sum(segment.rejected for segment in segments), used),
+        int(segments[0].package.stamps_ns[0]),
+        (int(segments[0].rows_ns[0]), int(segments[-1].rows_ns[-1])))
 
 
 def in_threads(function: Callable[..., Any], *columns: Sequence[Any]) -> list[Any]:
@@ -340,22 +296,18 @@ def in_threads(function: Callable[..., Any], *columns: Sequence[Any]) -> list[An
 
 
 class Held(NamedTuple):
-    """A value of each recording in a pool, or a part of each value."""
+    """A value of each recording in a pool."""
 
     pool: 'Pool'
     values: Sequence[Any]
-    part: int | None = None
 
-    def only(self, places: Sequence[int]) -> 'Held':
-        """Return the values of some of the recordings."""
-        return self._replace(values=[self.values[place] for place in places])
+    def only(self, number: int) -> 'Held':
+        """Return the value of one recording."""
+        return Held(self.pool, self.values[number:number + 1])
 
 
 class Pool:
     """Recordings in this process: functions run in threads, as kernels release the lock."""
-
-    clock: Callable[[], float] = staticmethod(time.process_time)
-    """Clock (s) of the work."""
 
     def run(self, function: Callable[..., Any], *columns: Sequence[Any]) -> list[Any]:
         """Return a function's values for each recording."""
@@ -365,43 +317,26 @@ class Pool:
         """Return values in this process, or raise the first error."""
         return list(values)
 
-    def each(self, values: Sequence[Any]) -> Held:
-        """Return an argument for each recording."""
-        return Held(self, list(values))
-
-    def keep(self, function: Callable[..., Any], *arguments: Any) -> Held:
+    def keep(self, function: Callable[..., Any], *columns: Held | Sequence[Any]) -> Held:
         """Return a function's value for each recording, where the recording is."""
-        held = [each for each in arguments if isinstance(each, Held)]
-        slots = tuple(_Slot(each.part) if isinstance(each, Held) else each for each in arguments)
-        return Held(self, self.run(partial(_called, function, slots), *(
-            each.values for each in held)))
+        return Held(self, self.run(function, *(
+            each.values if isinstance(each, Held) else each for each in columns)))
 
-    def results(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+    def results(self, function: Callable[..., Any], *columns: Held | Sequence[Any]) -> list[Any]:
         """Return a function's value for each recording, in this process."""
-        return self.gather(self.keep(function, *arguments).values)
+        return self.gather(self.keep(function, *columns).values)
 
-    def hold(self, function: Callable[..., Any], *arguments: Any) -> tuple[Held, list[Any]]:
+    def hold(
+        self, function: Callable[..., Any], *columns: Held | Sequence[Any]
+    ) -> tuple[Held, list[Any]]:
         """Return the kept first values of a function, and the second ones in this process."""
-        pairs = self.keep(function, *arguments)
-        return pairs._replace(part=0), self.gather(self.run(itemgetter(1), pairs.values))
-
-
-class _Slot(NamedTuple):
-    """The place of a recording's value among arguments, and the used part of the value."""
-
-    part: int | None
-
-
-def _called(function: Callable[..., Any], slots: Sequence[Any], *values: Any) -> Any:
-    """Return a function of one recording, called with its values in the slots."""
-    left = (value if slot.part is None else value[slot.part] for slot, value in zip(
-        (slot for slot in slots if isinstance(slot, _Slot)), values, strict=True))
-    return function(*(next(left) if isinstance(slot, _Slot) else slot for slot in slots))
+        pairs = self.keep(function, *columns)
+        return self.keep(itemgetter(0), pairs), self.results(itemgetter(1), pairs)
 
 
 def here(values: Sequence[Any]) -> Held:
     """Return values of recordings in this process."""
-    return Pool().each(values)
+    return Held(Pool(), list(values))
 
 
 class ReducedRecording(NamedTuple):
@@ -458,6 +393,12 @@ def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
     return [recording for recording in recordings if isinstance(recording, Recording)]
 
 
+def envelope_of(recording: Recording, cup_length: float) -> Envelope:
+    """Return the validity range of a recording."""
+    return recording.cached(
+        ('envelope', cup_length), lambda: envelope(samples_of(recording), cup_length))
+
+
 def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
     """
     Return a recording reduced, if it is not.
@@ -470,20 +411,8 @@ def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
     """
     if isinstance(recording, ReducedRecording):
         return recording
-    whole = recording
-    return whole.cached(('reduced', cup_length), lambda: _reduced(whole, cup_length))
-
-
-def envelope_of(recording: Recording, cup_length: float) -> Envelope:
-    """Return the validity range of a recording."""
-    return recording.cached(
-        ('envelope', cup_length), lambda: envelope(samples_of(recording), cup_length))
-
-
-def _reduced(recording: Recording, length: float) -> ReducedRecording:
-    """Return a recording reduced."""
+    report = recording.report
     return ReducedRecording(
         recording.as_json(), recording.digest, recording.files, recording.payload,
-        recording.report.time_offset, recording.report.package_world,
-        recording.report.package.timing.rate_hz, length, envelope_of(recording, length),
-        recording.report.remarks)
+        report.time_offset, report.package_world, report.package.timing.rate_hz, cup_length,
+        envelope_of(recording, cup_length), report.remarks)

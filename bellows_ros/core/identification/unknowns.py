@@ -14,23 +14,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 import math
+from operator import attrgetter
 from pathlib import Path
 import tomllib
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Places
+from bellows_ros.core.geometry.arrays import Array, Places, Stamps
 from bellows_ros.core.identification.result import Arrow, MAX_RELATIVE_ERROR, symmetric_roots
 from bellows_ros.core.identification.segments import (
     Held,
     here,
-    MeasuredSegment,
     Outline,
     outline_of,
     Segment,
-    Segments,
-    segments_of,
 )
 from bellows_ros.core.model.cup_package import (
     Cup,
@@ -59,23 +57,23 @@ class Kind(NamedTuple):
 
     Parameters
     ----------
-    unit : float
-        Unit of the search, SI units.
+    unit : float or sequence
+        Unit of the search, SI units, of all values or of each.
     size : int
         Number of values.
-    max_std : float
+    max_std : float or sequence
         Largest standard error of an identifiable quantity.
-    prior_std : float
+    prior_std : float or sequence
         Standard deviation of a weak prior.
     each : bool
         Whether every recording has values of its own.
 
     """
 
-    unit: float
+    unit: Any
     size: int
-    max_std: float
-    prior_std: float
+    max_std: Any
+    prior_std: Any
     each: bool = False
 
 
@@ -83,10 +81,6 @@ KINDS: Mapping[str, Kind] = {
     name: Kind(**numbers) for name, numbers in tomllib.loads(
         Path(__file__).with_name('quantities.toml').read_text()).items()}
 """Kinds by their names in fit.free."""
-
-STRETCH_UNITS = np.array([1e3, 1.0])
-"""Units of the two coefficients of stretch in a search, N/m^2 and N."""
-
 
 Free = Mapping[str, Array]
 """Values by name, for one recording."""
@@ -108,7 +102,7 @@ PACKAGE_STD: Mapping[str, float] = {'mass': 0.01, 'inertia': INERTIA_STD, 'com':
 
 def weak_prior(names: Iterable[str]) -> dict[str, Array]:
     """Return the standard deviations of weak priors on quantities, by name."""
-    return {name: np.full(KINDS[name].size, KINDS[name].prior_std) for name in names}
+    return {name: np.resize(KINDS[name].prior_std, KINDS[name].size) for name in names}
 
 
 def payload_of(payload: Package, free: Free) -> Package:
@@ -144,6 +138,13 @@ def given_std(values: Values) -> dict[str, Array]:
     return {name: np.maximum(std, MIN_STD) for name, std in stds.items() if np.any(std)}
 
 
+def delayed(stamps_ns: Stamps, free: Free, middle: Array) -> Stamps:
+    """Return stamps (N,) of the package on the tool's clock; see `body.middle_of`."""
+    offset, rate = (float(free.get(name, (0.0,))[0]) for name in body.CLOCKS)
+    since = stamps_ns - round(middle[3] * NS_PER_S)
+    return np.asarray(stamps_ns + np.rint(offset * NS_PER_S + rate * since).astype(np.int64))
+
+
 def as_found(recording: Recording, found: Free, number: int) -> Recording:
     """
     Return a recording with the estimates of a fit for package, marker, world and clock.
@@ -164,15 +165,13 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
     moves, tracked = np.array(recording.settings.moves_with_com, float), recording.tracked_package
     middle, views = body.middle_of(tracked), recording.views
     camera = views.tag.T_world_camera[:3, 3] if views else 0.0
-    offset, rate = (float(free.get(name, (0.0,))[0]) for name in ('time_offset', 'clock_rate'))
-    delays = offset * NS_PER_S + rate * (tracked.stamps_ns - middle[3] * NS_PER_S)
 
     def moved(poses: Trajectory) -> Trajectory:
         return body.poses_of(poses, free, moves, middle, camera)
 
     of_tool, of_package = recording.filters
     payload = payload_of(recording.payload, free)
-    stamps_ns = tracked.stamps_ns + np.rint(delays).astype(np.int64)
+    stamps_ns = delayed(tracked.stamps_ns, free, middle)
     return replace(
         recording, seen=views and replace(
             views.at(tracked.stamps_ns).corrected(free, moves, middle), stamps_ns=stamps_ns),
@@ -234,8 +233,8 @@ class Problem:
 
     Parameters
     ----------
-    segments : Held or None
-        Segments of each recording; None for one recording whose segments are given to a function.
+    held : Held
+        Segments of each recording; none for one recording whose segments are given to a function.
     outlines : tuple of Outline
         Facts on each recording.
     structure : Structure
@@ -255,7 +254,7 @@ class Problem:
 
     """
 
-    segments: Held | None
+    held: Held
     outlines: tuple[Outline, ...]
     structure: Structure
     guess: Cup
@@ -272,29 +271,14 @@ class Problem:
     ) -> 'Problem':
         """Return the problem of held recordings, or of segments that are in this process."""
         if not isinstance(segments, Held):
-            segments = here([tuple(own) for _, own in groupby(
-                segments, lambda segment: segment.measured.recording)])
+            segments = here([tuple(own) for _, own in groupby(segments, attrgetter('recording'))])
         return cls(segments, tuple(segments.pool.results(outline_of, segments)), structure, guess,
                    free, **more)
-
-    @property
-    def held(self) -> Held:
-        """The segments of each recording."""
-        assert self.segments is not None
-        return self.segments
-
-    def changed(self, change: Callable[[MeasuredSegment], MeasuredSegment]) -> 'Problem':
-        """Return the problem with other recordings, each segment changed."""
-        return self.with_segments(*self.held.pool.hold(_changed, change, self.held))
-
-    def with_segments(self, segments: Held, outlines: Sequence[Outline]) -> 'Problem':
-        """Return the problem with other recordings."""
-        return replace(self, segments=segments, outlines=tuple(outlines))
 
     @cached_property
     def local(self) -> 'Problem':
         """The problem of each recording alone: its unknowns are the shared ones, then its own."""
-        return replace(self, segments=None, outlines=self.outlines[:1])
+        return replace(self, held=here([]), outlines=self.outlines[:1])
 
     def index(self, number: int) -> Places:
         """Return the places (q,) of a recording's unknowns among all."""
@@ -372,13 +356,13 @@ class Problem:
     def weights(self) -> Array:
         """Information (m,) of the priors of free quantities."""
         return self._of_all(np.zeros(self.count), lambda name: (
-            np.asarray(self.free[name]) / KINDS[name].unit) ** -2)
+            np.divide(self.free[name], KINDS[name].unit) ** -2))
 
     @cached_property
     def max_std(self) -> Array:
         """Largest standard errors (m,) of identifiable unknowns."""
         return self._of_all(np.full(self.count, MAX_RELATIVE_ERROR), lambda name: (
-            KINDS[name].max_std / KINDS[name].unit))
+            np.divide(KINDS[name].max_std, KINDS[name].unit)))
 
     @cached_property
     def scales(self) -> tuple[Array, Array]:
@@ -419,19 +403,10 @@ class Problem:
             slopes[:, j] = np.subtract(*ends)[:self.shared] / (2.0 * step)
         return slopes
 
-    def strengths(self, theta: Array) -> Array:
-        """Return the strengths of relaxation (2,) of the unknowns."""
-        r = np.array(self.first_cup.relaxation)
-        for place in self.places.get('relaxation', ()):
-            r += (self.units * theta)[place]
-        return r
-
-    def stretch(self, theta: Array) -> tuple[float, float]:
-        """Return the coefficients of stretch of the unknowns, N/m^2 and N."""
-        change = np.sum([(self.units * theta)[place] for place in self.places.get('stretch', ())],
-                        axis=0)
-        a, b = (self.first_cup.stretch + change * STRETCH_UNITS).tolist()
-        return a, b
+    def extended(self, name: str, theta: Array) -> Array:
+        """Return strengths of relaxation, or coefficients of stretch (N/m^2, N), (2,)."""
+        change = self.values(theta).get(name, np.zeros(2))
+        return np.asarray(getattr(self.first_cup, name) + change)
 
     def transferred(self, other: 'Problem', theta: Array) -> Array:
         """Return the unknowns equal to the unknowns of another problem with the same cup."""
@@ -451,14 +426,14 @@ class Problem:
 
         The part is that of the recording so far, less one half; before a slip it is -1.
         """
-        free, measured = dict(self.values(theta)), segment.measured
+        free = dict(self.values(theta))
         if 'slip' in free and part > -1.0:
             free['com'] = free.get('com', np.zeros(3)) + np.append(free['slip'], 0.0)
         if 'length_drift' in free:
             free['length'] = free.get('length', np.zeros(1)) + part * free['length_drift']
         return model_tuple(
-            self.gripper(theta, free), _scaled(measured.payload, free),
-            gravity_of(measured.gravity, free))
+            self.gripper(theta, free), _scaled(segment.payload, free),
+            gravity_of(segment.gravity, free))
 
     def gripper(self, theta: Array, free: Free) -> Cup:
         """Return the cup or cups with their free quantities."""
@@ -466,9 +441,11 @@ class Problem:
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
         if 'relaxation' in free:
-            cup = replace(cup, relaxation=_not_below(self.strengths(theta)))
+            cup = replace(cup, relaxation=_not_below(self.first_cup.relaxation + free[
+                'relaxation']))
         if 'stretch' in free:
-            cup = replace(cup, stretch=self.stretch(theta))
+            a, b = (self.first_cup.stretch + free['stretch']).tolist()
+            cup = replace(cup, stretch=(a, b))
         return cup
 
     def moved(self, theta: Array, step: Array) -> Array:
@@ -530,7 +507,7 @@ class Problem:
         P = eye[half:self.count] - np.outer(is_axis, 0.5 * heavier) - 0.5 * eye[:half]
         yield P / DAMPING_LOG_STD, (P @ now - usual) / DAMPING_LOG_STD
         for place in self.places.get('relaxation', ()):  # the ratio of r2 and r1
-            r, ratio = self.strengths(theta), np.array([-DEFAULT_RATIO, 1.0])
+            r, ratio = self.extended('relaxation', theta), np.array([-DEFAULT_RATIO, 1.0])
             std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
             yield (ratio @ eye[place] * self.units[place[0]] / std)[None], ratio[None] @ r / std
 
@@ -546,14 +523,6 @@ def _scaled(payload: Package, free: Free) -> Package:
         payload.mass * float(np.exp(np.sum(free.get('mass', 0.0)))),
         payload.inertia * np.outer(factors, factors),
         payload.com + free.get('com', np.zeros(3)), is_checked=False)
-
-
-def _changed(
-    change: Callable[[MeasuredSegment], MeasuredSegment], segments: Segments
-) -> tuple[Segments, Outline]:
-    """Return other segments of a recording, and their outline."""
-    other = segments_of([change(segment.measured) for segment in segments])
-    return other, outline_of(other)
 
 
 def _not_below(strengths: ArrayLike) -> tuple[float, float]:

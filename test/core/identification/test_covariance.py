@@ -4,7 +4,7 @@ from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.fitting import output_error
 from bellows_ros.core.identification.result import inverted, with_unidentifiable
-from bellows_ros.core.identification.segments import MeasuredSegment
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.equilibrium import moved_by, static_equilibrium
 from bellows_ros.core.model.simulation import simulate, simulate_rows, state_row, tool_rows
@@ -49,7 +49,7 @@ def recorded(seed, tool_noise, package_noise, duration=12.0, rate_hz=RATE_HZ, cu
     stds = [np.repeat(np.maximum(own, [2e-7, 2e-6]), 3) for own in (tool_noise, package_noise)]
     poses = [with_errors(own, np.repeat(size, 3) * rng.standard_normal((len(own), 6)))
              for own, size in zip((tool, body), (tool_noise, package_noise), strict=True)]
-    return MeasuredSegment(*poses, PLATE, GRAVITY, *map(BodyNoise, stds))
+    return Segment(*poses, PLATE, GRAVITY, *map(BodyNoise, stds))
 
 
 def deviations(kind, seeds, duration=DURATION):
@@ -61,7 +61,7 @@ def deviations(kind, seeds, duration=DURATION):
     for seed in seeds:
         rng = np.random.default_rng((seed, 7))
         seen = [with_errors(own, drawn(kind, len(own), rng)) for own in (motion, body)]
-        own = MeasuredSegment(*seen, PLATE, GRAVITY, *[noise_of_kind(kind)] * 2)
+        own = Segment(*seen, PLATE, GRAVITY, *[noise_of_kind(kind)] * 2)
         fit = output_error([own], AXISYMMETRIC, TRUTH)
         std = np.sqrt(np.diag(fit.covariance))
         found.append((AXISYMMETRIC.parameters(fit.stiffness, fit.damping) - true) / std)

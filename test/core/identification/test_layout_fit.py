@@ -4,7 +4,7 @@ import functools
 
 from bellows_ros.core.identification.fitting import output_error
 from bellows_ros.core.identification.least_squares import least_squares, samples_of, statistics
-from bellows_ros.core.identification.segments import MeasuredSegment
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.structure import STRUCTURES
@@ -46,8 +46,8 @@ def by_output_error(package_noise):
     tool, package = (noisy(rng, body, noise) for body, noise in zip(
         truth(), (tool_noise, package_noise), strict=True))
     return output_error(
-        [MeasuredSegment(tool, package.select(slice(0, None, 8)), PLATE, GRAVITY,
-                         *(BodyNoise(np.repeat(std, 3)) for std in (tool_noise, package_noise)))],
+        [Segment(tool, package.select(slice(0, None, 8)), PLATE, GRAVITY,
+                 *(BodyNoise(np.repeat(std, 3)) for std in (tool_noise, package_noise)))],
         LAYOUT, Cup(2.0 * ONE.stiffness, 0.6 * ONE.damping, ONE.length))
 
 

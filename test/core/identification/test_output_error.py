@@ -12,7 +12,7 @@ from bellows_ros.core.identification.estimate import (
     renewed,
 )
 from bellows_ros.core.identification.fitting import output_error
-from bellows_ros.core.identification.segments import MeasuredSegment, Segment
+from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.identification.unknowns import KINDS, Problem, weak_prior
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
@@ -59,8 +59,8 @@ def measured(
     tool = at(truth, tool_hz, 0, tool_noise)
     package = at(body, package_hz, 0 if tool_hz == package_hz else 1_300_000, package_noise)
     package = Trajectory(package.stamps_ns - late_ns, package.position, package.rotation)
-    return MeasuredSegment(tool, package, PLATE, GRAVITY, BodyNoise(np.repeat(tool_noise, 3)),
-                           BodyNoise(np.repeat(package_noise, 3)))
+    return Segment(tool, package, PLATE, GRAVITY, BodyNoise(np.repeat(tool_noise, 3)),
+                   BodyNoise(np.repeat(package_noise, 3)))
 
 
 def scaled(factor):
@@ -70,7 +70,7 @@ def scaled(factor):
 
 def posed(own, cup=TRUTH, free=None, **more):
     """Return the problem of one recording."""
-    return Problem.of([Segment.of(own)], AXISYMMETRIC, cup, free or {}, **more)
+    return Problem.of([own], AXISYMMETRIC, cup, free or {}, **more)
 
 
 def z_of(fit):
@@ -208,7 +208,7 @@ def weak(seed, duration=12.0):
     stamps = np.rint(np.arange(int(120.0 * duration)) * 1e9 / 120.0).astype(np.int64)
     poses = [noisy(rng, resample(each, stamps), np.array(CAPTURE)) for each in (
         tool, simulate(cup, PLATE, tool, gravity=GRAVITY))]
-    return MeasuredSegment(*poses, PLATE, GRAVITY, *[BodyNoise(np.repeat(CAPTURE, 3))] * 2), (
+    return Segment(*poses, PLATE, GRAVITY, *[BodyNoise(np.repeat(CAPTURE, 3))] * 2), (
         AXISYMMETRIC.parameters(cup.stiffness, cup.damping))
 
 
@@ -255,7 +255,7 @@ def with_memory(own, kept, std, rng):
         e *= np.repeat(std, 3)
         poses.append(with_errors(body, e))
     noise = BodyNoise(np.repeat(std, 3), kept)
-    return MeasuredSegment(*poses, PLATE, GRAVITY, noise, noise)
+    return Segment(*poses, PLATE, GRAVITY, noise, noise)
 
 
 def test_noise_with_memory_is_whitened():
@@ -289,7 +289,7 @@ def test_gaps_and_outliers_are_bridged():
     R[50::41] = R[50::41] @ exp_so3(np.array([0.3, 0.0, 0.0]))
     seen = (np.arange(len(R)) < 150) | (np.arange(len(R)) > 190)
     package = Trajectory(own.package.stamps_ns, position, R).select(seen)
-    fit = output_error([MeasuredSegment(
+    fit = output_error([Segment(
         own.tool, package, PLATE, GRAVITY, own.tool_noise, own.package_noise)],
         AXISYMMETRIC, scaled(1.5))
     assert fit.converged

@@ -4,7 +4,6 @@ from dataclasses import replace
 import functools
 
 from bellows_ros.core.identification.residuals import at_rest
-from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.identification.statics import cup_length_of
 from bellows_ros.core.identification.unknowns import Problem, weak_prior
 from bellows_ros.core.model.cup_package import Cup
@@ -183,7 +182,7 @@ def problem_at_rest(free, seed=1, standstills=None):
     """Return the problem of a motion with standstills, and the unknowns of the truth."""
     own = measured(seed, tool_hz=100.0, duration=6.0)
     problem = Problem.of(
-        [Segment.of(own)], STRUCTURES['full'], THESIS, weak_prior(free),
+        [own], STRUCTURES['full'], THESIS, weak_prior(free),
         standstills=standstills or resting(seed))
     return problem, problem.start
 
