@@ -31,6 +31,7 @@ from ..core.geometry import lie
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.observer.observer import Observer, VERDICTS
 from ..core.sensors.camera import TagCamera
+from ..core.sensors.set_up import Fault
 from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S, same_frame
 from ..core.signals.transforms import Chain
@@ -448,10 +449,11 @@ class PackageInput:
             return status._replace(finding=self._wrong_wrench(fault))
         return status
 
-    def _wrong_wrench(self, fault: str) -> Finding:
+    def _wrong_wrench(self, fault: Fault) -> Finding:
         """Return the finding on a wrong set-up of the force-torque sensor, which is not used."""
         return health.fact('wrench', Level.ERROR, self._wrench_in.topic,
-                           reason=health.REASONS[f'wrench_{fault}'])
+                           reason=health.REASONS[f'wrench_{fault.name}'].format(
+                               rotation=fault.rotation))
 
     def status(self, name: str) -> health.Status | None:
         """Return the line of the diagnostics; None before the first message."""

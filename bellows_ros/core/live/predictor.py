@@ -31,6 +31,7 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, gravity_of, package_of, tip_of
 from bellows_ros.core.parameters.table import lookup
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.sensors.set_up import Fault
 from bellows_ros.core.signals.screening import PoseSample
 from bellows_ros.core.signals.trajectory import same_frame
 from bellows_ros.errors import BellowsError, require_types
@@ -581,8 +582,8 @@ class LivePredictor:
         return refused
 
     @property
-    def wrench_fault(self) -> str:
-        """Fault in the set-up of the force-torque sensor, or ''; its wrenches are then ignored."""
+    def wrench_fault(self) -> Fault | None:
+        """Fault in the set-up of the force-torque sensor; its wrenches are then ignored."""
         return self.package.observer.wrenches.set_up.fault
 
     def flush(self) -> list[Prediction]:

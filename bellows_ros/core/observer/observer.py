@@ -400,8 +400,10 @@ class Observer:
         """Process a wrench (N, N m) of the sensor in its axes; return a rejection."""
         stamp_ns, newest_ns = self.wrenches.add(stamp_ns, wrench), self._track.newest_ns
         self.has_sensor = True
-        if not self._begin_estimates() or not stamp_ns:
-            return 'late' if self._estimates else 'not_held'
+        if not self._begin_estimates():
+            return 'not_held'
+        if stamp_ns <= self._estimates[0].stamp_ns:
+            return 'late'
         self._watch_wrench(stamp_ns)
         if self._estimates[-1].stamp_ns + BLOCK_NS <= stamp_ns <= newest_ns:
             self._measurements.append(Measurement(stamp_ns, *ORIGIN[:2], np.zeros((0, 0))))

@@ -34,7 +34,7 @@ from bellows_ros.core.observer.filter import Moving, Samples
 from bellows_ros.core.observer.measurement import changed_by, GATE
 from bellows_ros.core.observer.results import Estimate
 from bellows_ros.core.observer.states import COM, DAMPING, MARKER, ROWS, STATE, STIFFNESS
-from bellows_ros.core.sensors.set_up import COS_MIN_TILT, fault_of, Still
+from bellows_ros.core.sensors.set_up import COS_MIN_TILT, Fault, fault_of, Still
 from bellows_ros.core.sensors.wrench import (
     cup_load,
     GAIN_STD,
@@ -232,7 +232,7 @@ class WrenchFilter:
                 stands(np.ravel(start[2:4])) and stands(np.ravel(end[2:4]))):
             R = np.reshape(t3.multiply(t3.rotation_matrix(end[1]), self.sensor.mount[1]), (3, 3))
             self.set_up.add(Still(used[1].mean(axis=0), mean, R), correction.weight)
-        is_used = not self.set_up.is_contradicted and self._outside in (0, PERSISTING)
+        is_used = self.set_up.fault is None and self._outside in (0, PERSISTING)
         return after if is_used else before
 
     def is_lost(
@@ -240,7 +240,7 @@ class WrenchFilter:
         on_support: bool,
     ) -> bool:
         """Return whether the force of a package in the air has disappeared in last wrenches."""
-        if on_support or track.count < 2 or self.set_up.is_contradicted:
+        if on_support or track.count < 2 or self.set_up.fault is not None:
             self._since_ns = 0
             return False
         stamps, _, ends, bodies = track.rows
@@ -327,7 +327,7 @@ class SetUp:
 
     Attributes
     ----------
-    is_contradicted, fault : bool, str
+    fault : Fault or None
         See `fault_of`.
 
     """
@@ -335,7 +335,7 @@ class SetUp:
     def __init__(self, sensor: WrenchSensor) -> None:
         self._sensor = sensor
         self._still: list[Still] = []
-        self.is_contradicted, self.fault = False, ''
+        self.fault: Fault | None = None
 
     def add(self, now: Still, weight: float) -> None:
         """Check the mean reading of another block at rest; the oldest of its tilt is dropped."""
@@ -344,5 +344,5 @@ class SetUp:
         if len(alike) >= KEPT_BLOCKS:
             del self._still[alike[0]]
         self._still.append(now)
-        self.is_contradicted, self.fault = fault_of(
+        self.fault = fault_of(
             Still(*map(np.array, zip(*self._still, strict=True))), self._sensor, weight)
