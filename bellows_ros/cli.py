@@ -235,7 +235,6 @@ def identify(arguments: Any, console: 'Console') -> Outcome:
     if arguments.release:
         return _identify_release(arguments, console)
     from bellows_ros.core.geometry.jit import COMPILED, NOT_COMPILED
-    from bellows_ros.files.parameter_files import names_in
     from bellows_ros.report.text import print_identification
     from bellows_ros.workflows.identification import save
     from bellows_ros.workflows.identify import identify
@@ -252,10 +251,6 @@ def identify(arguments: Any, console: 'Console') -> Outcome:
     then = _next_steps(arguments, result)
     if not (result.succeeded or arguments.force and result.fit.usable):
         arguments.out = arguments.out_cell = ''
-    if lost := names_in(arguments.out) - {*result.parameters()}:
-        console.warn(
-            f'{", ".join(sorted(lost))} of the former {arguments.out} are not in the new one, '
-            'which has the identified cup alone. State them in another file.')
     save(result, arguments.out, '', arguments.force, arguments.out_cell)
     return Outcome(partial(print_identification, result), result, then)
 
@@ -270,7 +265,7 @@ def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
     if not out:
         return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
     if not cell:
-        lost = ', '.join(name for name in result.found if name != 'cup.length')
+        lost = ', '.join(name for name in result.asked if name != 'cup.length')
         params = ''.join(f' --params {file}' for file in (*arguments.params, out))
         return (*[f'Without --out-cell cell.yaml the estimates of {lost} are lost.'] * bool(lost),
                 check, f'  bellows replay BAG{params}')

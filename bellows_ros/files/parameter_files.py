@@ -7,7 +7,6 @@ a decimal point.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from os.path import commonprefix
 from pathlib import Path
 import textwrap
@@ -28,13 +27,6 @@ _ROW = 6  # items of a list on one line
 # Units of the rows of K and P as comments: linear and angular columns.
 _ROW_UNITS = {
     'cup.stiffness': ('N/m, N', 'N, N m/rad'), 'cup.damping': ('N s/m, N s', 'N s, N m s/rad')}
-
-OTHER_FILES = {
-    'kind': "a motion, for --motion or 'bellows plan'",
-    'points': 'a plan',
-    'provenance': 'a result of --json',
-    'workspace': 'limits, for --limits'}
-"""Kinds of other YAML and JSON files by the first name in the file."""
 
 
 def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
@@ -72,10 +64,6 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     if not isinstance(content, safe_yaml.Content):
         raise BellowsError(
             f"Parameter file '{file}' holds no parameters. Give 'name: value' lines.")
-    if other := next((what for key, what in OTHER_FILES.items() if key in content), ''):
-        raise BellowsError(
-            f"'{file}' is no parameter file, but {other}. Give the file that "
-            "'bellows parameters --yaml' begins, or that --out or --write-params wrote.")
     values: dict[str, Value] = {}
     for keys, section in _sections(file, content, node):
         for name, value, where in _flattened(section, keys):
@@ -92,13 +80,6 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
                     'Keep one.')
             values[name] = checked
     return values
-
-
-def names_in(path: File) -> set[str]:
-    """Return the names of the parameters in a file; none if it is no parameter file."""
-    with suppress(BellowsError):
-        return {*read_parameters(path)} if path else set()
-    return set()
 
 
 def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str] = ()) -> None:

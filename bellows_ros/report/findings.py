@@ -11,7 +11,7 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.report.sentences import formatted
 
-OPTIONAL = ('assumed', 'cause', 'errors', 'given', 'order', 'share')
+OPTIONAL = ('cause', 'errors', 'given', 'share')
 """Numbers of findings that may be absent."""
 
 

@@ -5,7 +5,6 @@ import math
 import textwrap
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.identification.result import Fit, UNITS
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
@@ -151,17 +150,12 @@ def print_identification(result: 'Identification', out: Any) -> None:
     fit, verdict = result.fit, result.verdict
     if verdict:
         out.paragraph(*map(text_of, (*verdict.cause, *verdict.doubts)))
-    elif result.values.topics.package_pose:
-        out.paragraph(text_of(Finding('no_verdict')))
     out.paragraph(*result.refusals, style='red')
     found = 'No cup' if result.refusals else 'Cup'
     out.line(f'{found} identified from {listed(result.bags)}', 'bold')
     out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     out.line()
     for simulated in verdict.simulated if verdict else ():
-        if not all(map(math.isfinite, simulated.rms)):
-            out.paragraph(text_of(Finding('not_simulated', Level.WARN, {'bag': simulated.bag})))
-            continue
         factors, units = (DISPLAY_FACTORS, DISPLAY_UNITS) if len(simulated.axes) > 1 else (
             np.array([1e3]), ('mrad',))
         out.table([

@@ -29,6 +29,7 @@ from bellows_ros.report.findings import text as text_of
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import (
+    estimate_finding,
     Failed,
     is_measured,
     offset_finding,
@@ -297,17 +298,18 @@ class Identification(CommandResult):
     def _findings(self) -> Iterator[Finding]:
         """Yield findings on clocks, estimates and standstills."""
         yield from self._clocks()
-        asked = {'recording.package_world', 'measured.scale', *(
-            FREE_PARAMETERS[name][0] for name in {*self.fit.named} & FREE_PARAMETERS.keys())}
-        found = [each for each in self.found.items() if each[0] in asked]
+        found = [*self.asked.items()]
         if self.static and (length := self.static.length):
             found.append(('cup.length', (length.length, length.total_std, 'm by loads alone')))
-        for name, (value, std, unit) in found:
-            numbers = value.split() if isinstance(value, str) else np.ravel(value)
-            yield Finding('estimated', Level.OK, {
-                'values': ', '.join(f'{float(x):.5g}' for x in numbers),
-                'errors': ', '.join(f'{x:.2g}' if x < np.inf else '-' for x in np.ravel(std)),
-                'unit': f' {unit}' * (unit != '1')}, name)
+        for name, each in found:
+            yield estimate_finding(name, *each)
+
+    @property
+    def asked(self) -> Mapping[str, tuple[Any, Any, str]]:
+        """Those estimates that fit.free or recording.package_world request."""
+        names = {'recording.package_world', 'measured.scale', *(
+            FREE_PARAMETERS[name][0] for name in {*self.fit.named} & FREE_PARAMETERS.keys())}
+        return {name: each for name, each in self.found.items() if name in names}
 
     @cached_property
     def delays(self) -> tuple[TimeOffset, ...]:
@@ -333,9 +335,7 @@ class Identification(CommandResult):
         misfit = (text_of(self.fit.misfit),) if self.fit.misfit and not is_explained else ()
         if self.fit.usable and self.verdict and self.verdict.refusals:
             return misfit
-        kept = [text_of(Finding('kept_given', Level.WARN, {'names': self._unknown}))] if (
-            self._unknown and self.fit.usable) else []
-        return (*map(text_of, self.fit.findings), *misfit, *kept)
+        return (*map(text_of, self.fit.findings), *misfit)
 
     @property
     def warnings(self) -> tuple[str, ...]:

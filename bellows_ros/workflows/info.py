@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
-from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
@@ -31,7 +30,6 @@ from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
     PoseStream,
     same_frame,
-    Trajectory,
     TwistStream,
 )
 from bellows_ros.errors import BellowsError
@@ -43,12 +41,6 @@ from bellows_ros.report.findings import text
 from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import sensor_findings, tag_sought, within_interval
 import numpy as np
-
-MIN_HOLD = 4.0
-"""Shortest hold in which creep of rubber is observable, s."""
-
-MIN_TILT = 0.1
-"""Smallest tilt of a hold in which creep of rubber is observable, rad."""
 
 FLANGE_OUTWARD = '0 0 0 1 0 0 0'
 """Pose of the tool tip in a flange with z out of the arm: a half turn about x."""
@@ -62,12 +54,6 @@ IMPLAUSIBLE_DISTANCE = (0.3, 10.0)
 
 MAX_CHANGE = 0.05
 """Largest change of a plausible distance from tool to package, m."""
-
-HOLD_STEP = 0.25
-"""Time between the compared poses of a hold, s."""
-
-STILL_SPEED = (0.01, 0.04)
-"""Largest speeds of a standstill, m/s and rad/s."""
 
 TOOL_WORDS = frozenset('tool tcp ee eef effector flange arm robot gripper tip'.split())
 PACKAGE_WORDS = frozenset(
@@ -392,7 +378,9 @@ def _why_separate(
             'why': ": their frames are '{tool}' and '{package}'".format(**frames)})
     first, last = common_span(tool, package)
     if last < first:
-        return Finding('two_clocks')
+        return Finding('time_offset', Level.WARN, {
+            'size': abs(late_ns := int(tool.stamps_ns[0] - package.stamps_ns[0])) / NS_PER_S,
+            'side': 'later' if late_ns > 0 else 'earlier'})
     low, high = IMPLAUSIBLE_DISTANCE
     if pair and low < pair.distance < high and pair.change > MAX_CHANGE:
         return Finding('package_world', Level.WARN, {
@@ -418,25 +406,12 @@ def _initial_rest(
         rest.tilts[0] > np.deg2rad(1.0) or rest.turned > np.deg2rad(10.0))
     numbers = {'distance': pair.distance, 'seconds': rest.seconds}
     findings: list[Finding] = [Finding(code, Level.WARN, numbers) for code, applies in (
-        ('start_distance', not separate), ('short_rest', rest.seconds < alignment.MIN_REST),
-        ('no_hold', longest_hold(tool) < MIN_HOLD)) if applies]
+        ('start_distance', not separate), ('short_rest', rest.seconds < alignment.MIN_REST))
+        if applies]
     # 90 % of the standstill, to 0.1 s
     duration = max(0.1, float(np.floor(10.0 * 0.9 * rest.seconds) / 10.0))
     settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
     return rest.seconds, settings, [*findings, *(() if separate else rest.remarks)]
-
-
-def longest_hold(tool: Trajectory) -> float:
-    """Return the longest standstill of a tool (s) tilted relative to its start."""
-    steps = (tool.stamps_ns - tool.stamps_ns[0]) // round(HOLD_STEP * NS_PER_S)
-    some = tool.select(np.unique(steps, return_index=True)[1])  # stamps may span years
-    up = some.rotation[:, 2]
-    rotation = log_so3(np.swapaxes(some.rotation[:-1], 1, 2) @ some.rotation[1:])
-    still = np.arccos(np.clip(up[1:] @ up[0], -1.0, 1.0)) > MIN_TILT
-    for step, speed in zip((np.diff(some.position, axis=0), rotation), STILL_SPEED, strict=True):
-        still &= np.linalg.norm(step, axis=1) < HOLD_STEP * speed
-    edges = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
-    return float(HOLD_STEP * np.max(edges[:, 1] - edges[:, 0], initial=0))
 
 
 def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:

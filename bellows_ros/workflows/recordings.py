@@ -320,14 +320,20 @@ def sensor_findings(stream: PoseStream, is_tag: bool) -> tuple[Finding, ...]:
         remark._replace(topic=stream.name) for remark in detected_tags(stream))
 
 
+def estimate_finding(topic: str, value: Any, std: Any, unit: str = '1') -> Finding:
+    """Return the finding on an estimate, a number, several or their text, with its errors."""
+    numbers = value.split() if isinstance(value, str) else np.ravel(value)
+    return Finding('estimated', Level.OK, {
+        'values': ', '.join(f'{float(x):.5g}' for x in numbers),
+        'errors': ', '.join(f'{x:.2g}' if x < np.inf else '-' for x in np.ravel(std)),
+        'unit': f' {unit}' * (unit != '1')}, topic)
+
+
 def offset_finding(bag: object, offset: TimeOffset | None) -> list[Finding]:
-    """Return the finding on the time offset of a recording, unless unknown."""
-    if offset is None or not math.isfinite(offset.std):
-        return []
-    later, other = ('a tool', 'camera') if offset.value >= 0.0 else ('a camera', 'tool')
-    return [Finding('offset', Level.OK, {
-        'bag': str(bag), 'later': later, 'other': other, 'offset': abs(offset.value),
-        'std': offset.std})]
+    """Return the finding on the corrected time offset of a recording, unless unknown."""
+    return [estimate_finding(
+        f'{bag}: the delay of stamps of the tool against those of the package', offset.value,
+        offset.std, 's')] if offset and math.isfinite(offset.std) else []
 
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

@@ -41,7 +41,7 @@ from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import LONGEST_GAP_NS
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
-from bellows_ros.errors import BellowsError, require_types, UnstableError
+from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import detections, File, results
 from bellows_ros.report.findings import text, warnings
 from bellows_ros.workflows import CommandResult
@@ -49,6 +49,7 @@ from bellows_ros.workflows.holds import signals_of, spans_held
 from bellows_ros.workflows.plan import smallest_margin
 from bellows_ros.workflows.recordings import (
     checked,
+    estimate_finding,
     load,
     no_progress,
     Progress,
@@ -126,10 +127,8 @@ class Observed(NamedTuple):
         found = [Finding('measured_poses', Level.OK if mostly else Level.WARN, {
             'counted': counted}, self.topic)]
         if payload := self.payload:
-            found.append(Finding('payload', Level.OK, {
-                'mass': payload.mass, 'std': payload.mass_std, 'com': ', '.join(
-                    f'{1e3 * x:.2f} ± {1e3 * std:.2g}' for x, std in zip(
-                        payload.com, payload.com_std, strict=True))}))
+            found += [estimate_finding('package.mass', payload.mass, payload.mass_std, 'kg'),
+                      estimate_finding('package.com', payload.com, payload.com_std, 'm')]
         return tuple(found)
 
     @property
@@ -292,56 +291,23 @@ def replay(
     sent = _tool_messages(recording, values)
     live = _predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
-    found, camera = free.findings, None
-    lost: tuple[Finding, ...] = ()
-    more: tuple[Finding, ...] = ()
-    if observe:
-        camera, more = _observed(bag, recording, sent, live, values, observe, signals)
-        lost = tuple(Finding('lost_at', Level.WARN, {
-            'time': seconds, 'end': max(seconds - 0.5, 0.0)})
-            for seconds, alarm in camera.alarms if alarm.kind == 'lost')[:1]
-        if camera.alarms or values.payload.estimate:  # they explain a mean stretch
-            found = tuple(each for each in found if each.code != 'mean_stretch')
+    camera, more = _observed(
+        bag, recording, sent, live, values, observe, signals) if observe else (None, ())
     progress('done', 1.0)
-    return replace(free, live=live, observed=camera, findings=(*note, *lost, *found, *more))
+    return replace(
+        free, live=live, observed=camera, findings=(*note, *free.findings, *more))
 
 
 def validated(values: Values, recording: Recording) -> Replay:
     """Simulate a prepared recording with the cup of the parameters, and compare both."""
-    try:
-        validation = validate(cup_of(values), recording)
-        is_worse = bool(validation.worse_than_noise)
-    except UnstableError as error:
-        raise UnstableError(' '.join([
-            *map(text, _stretch_findings(values, recording)), str(error)])) from None
+    validation = validate(cup_of(values), recording)
     found = [*validation.findings]
     valid = conversion.parameter_envelope(values)
     outside = validity_range.beyond(
         valid, segments.envelope_of(recording, values.cup.length)) if valid else []
     if outside:
         found.append(Finding('outside', Level.WARN, {'ranges': outside}))
-    if is_worse:
-        found += _stretch_findings(values, recording)
     return Replay(recording.name, values, recording, validation, tuple(found))
-
-
-STRETCH_RATIOS = (0.7, 1.4)
-"""Range of the ratios of stretch that a wrong stiffness can explain."""
-
-
-def _stretch_findings(values: Values, recording: Recording) -> list[Finding]:
-    """Return a finding if the mean stretch of the cup indicates a wrong package.mass."""
-    relative = residuals.relative_coordinates(
-        recording.measured_tool, recording.measured_package)[recording.measured]
-    lip = relative[:, :3] - lie.exp_so3(relative[:, 3:]) @ np.array(values.package.com)
-    stretch = float(np.mean(-lip[:, 2])) - float(values.cup.length)
-    compliance = values.gravity.magnitude / cup_of(values).stiffness[2, 2]
-    mass, stated = stretch / compliance, values.package.mass
-    if not mass > 0.0 or STRETCH_RATIOS[0] < mass / stated < STRETCH_RATIOS[1]:
-        return []
-    return [Finding('mean_stretch', Level.WARN, {
-        'stretch': stretch, 'mass': mass, 'stated': stated,
-        'off': abs(stretch - stated * compliance)})]
 
 
 def _predicted_live(

@@ -87,19 +87,11 @@ class TossResult(plan.OfPlan):
                                  (stamps_ns - stamps_ns[0]) / NS_PER_S)))
         return {self.source.path: (tool, package)}
 
-    def shares(self) -> list[Share]:
-        """Return the contribution of each uncertain parameter, the largest first."""
-        return self._shares(tuple(dict.fromkeys(self.scatter.names)))
-
     def groups(self) -> list[Share]:
         """Return the contributions of groups of parameters, the largest first."""
-        return self._shares((*GROUPS, *dict.fromkeys(
-            name for name in self.scatter.names if name.startswith('release'))))
-
-    def _shares(self, names: tuple[str, ...]) -> list[Share]:
-        """Return the contributions of quantities with given prefixes."""
         shares = []
-        for name in names:
+        for name in (*GROUPS, *dict.fromkeys(
+                name for name in self.scatter.names if name.startswith('release'))):
             std, covariance = self.scatter.of(name)
             if len(std):
                 sizes = np.sqrt(np.diag(covariance).reshape(2, 3).sum(axis=1)).tolist()
@@ -122,8 +114,9 @@ class TossResult(plan.OfPlan):
             'landing_covariance': self.covariance,
             'tumbling': toss.tumbling,
             'drawn': len(self.scatter.errors), 'failed': self.scatter.failed,
-            'budget': _budget(self.shares()),
-            'budget_of_groups': _budget(self.groups())}
+            'budget': [{
+                'name': share.name, 'std': share.std, 'contribution_mm': 1e3 * share.metres,
+                'contribution_deg': math.degrees(share.radians)} for share in self.groups()]}
         if self.aim is not None:
             content['target'] = {
                 'position': list(self.aim.target), 'valve_time': self.aim.switched,
@@ -156,20 +149,14 @@ class TossResult(plan.OfPlan):
             Finding('assumed_delay', Level.WARN, {
                 'longest': conversion.MAX_DELAY, 'speed': speed,
                 'shift': conversion.MAX_DELAY * speed}) if self.assumed else None,
-            plan.outside_finding(outside_loads(
+            plan.outside_finding((*outside_loads(
                 (values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
-                values.vacuum.holding)),
-            Finding('beyond_masses', Level.WARN, {'mass': values.package.mass, **dict(zip(
-                ('lightest', 'heaviest'), release.mass_range, strict=True))})
-            if conversion.beyond_masses(values) else None,
+                values.vacuum.holding), *[
+                    'the mass is {:.3g} kg, of drops {:.3g} to {:.3g} kg'.format(
+                        values.package.mass, *release.mass_range)]
+                * bool(conversion.beyond_masses(values)))),
             None if self.succeeded or not self.aim else Finding(
                 'out_of_reach', Level.WARN, {'distance': self.aim.distance}))))
-
-
-def _budget(shares: list[Share]) -> list[dict[str, Any]]:
-    """Return contributions as JSON; squares of independent groups add up."""
-    return [{'name': share.name, 'std': share.std, 'contribution_mm': 1e3 * share.metres,
-             'contribution_deg': math.degrees(share.radians)} for share in shares]
 
 
 def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> None:

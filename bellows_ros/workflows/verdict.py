@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
 import math
 from operator import itemgetter
 from types import MappingProxyType
@@ -139,8 +138,7 @@ class FitVerdict(NamedTuple):
     def _off_given(self, level: Level) -> list[Finding]:
         """Return findings on given values beyond their stated errors."""
         return [Finding('off_given', level, {
-            'off': off, 'pull': pull, 'order': self._in_order(name, value)}, name)
-            for name, (value, off, pull) in self.found.items()
+            'off': off, 'pull': pull}, name) for name, (_, off, pull) in self.found.items()
             if pull > SIGMAS and f'{name}_std' in PARAMETERS]
 
     @property
@@ -160,19 +158,10 @@ class FitVerdict(NamedTuple):
         if self.refusals:
             return ()
         found = []
-        inertia = self.found.get('package.inertia', (np.zeros(3),))[0]
-        if abs(self.log_inertia_ratio) >= MIN_INERTIA_RATIO and not self._in_order(
-                'package.inertia', inertia):
+        if abs(self.log_inertia_ratio) >= MIN_INERTIA_RATIO:
             found.append(Finding('doubtful_mass', Level.WARN, {
                 'factor': math.exp(-self.log_inertia_ratio)}))
         return (*found, *self._off_given(Level.WARN))
-
-    def _in_order(self, name: str, value: Array) -> str:
-        """Return a sentence on moments of inertia that were given in another order, or ''."""
-        if name != 'package.inertia' or not {name} <= self.given.keys() & self.found.keys():
-            return ''
-        order = order_of(np.array(self.given[name])[:3], value[:3])
-        return order and f' The given moments fit about other axes: {order}.'
 
     @property
     def cause(self) -> tuple[Any, ...]:
@@ -416,10 +405,8 @@ def _corrected(cause: Cause, given: Given) -> str:
     """Return a given quantity with the correction by a cause."""
     topic, *_ = CORRECTED[cause.name.removesuffix('.direction')]
     if topic == 'package.inertia':
-        before = np.array(given[topic][:3])
-        moments = before * np.exp(cause.theta)
-        order = order_of(before, moments)
-        return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2' + (order and f'; {order}')
+        moments = np.array(given[topic][:3]) * np.exp(cause.theta)
+        return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2'
     if topic == 'gravity.direction':
         doubt = '; or a hose or cable pulls at the package' * (cause.instead == 'force')
         down = lie.exp_so3(np.append(-cause.theta, 0.0)) @ alignment.DOWN
@@ -428,17 +415,6 @@ def _corrected(cause: Cause, given: Given) -> str:
     sure = np.where(np.abs(cause.theta) > SIGMAS * cause.std, cause.theta, 0.0)
     value = np.add(given[topic], sure if topic == 'package.com' else cause.theta[0])
     return _listed(value) if topic == 'package.com' else f'{value:.5f}'
-
-
-def order_of(given: Array, moments: Array) -> str:
-    """Return the axes of which the given moments of inertia (3,) seem to be, '' if as given."""
-    off = {order: float(np.max(np.abs(np.log(moments / given[list(order)]))))
-           for order in permutations(range(3))}
-    best = min(off, key=lambda order: off[order])
-    if best == (0, 1, 2) or 2.0 * off[best] > off[(0, 1, 2)]:
-        return ''
-    axes = ', '.join('xyz'[best.index(axis)] for axis in range(3))
-    return f'those of x, y and z seem to be given as those of {axes}'
 
 
 def _listed(values: Array) -> str:

@@ -232,23 +232,7 @@ def test_a_time_offset_is_printed_and_json_and_page_are_written(succeed, worksho
     done = succeed('replay', 'recording', '--params', 'cup.yaml', '--set',
                    'fit.free=[time_offset]', '--report', page, '--json', '-', cwd=workshop)
     for text in (done.stderr, page.read_text()):
-        assert re.search(
-            r'recording: a \w+ stamp is 0\.0\d\d ms .* later than the \w+ stamp', text)
+        assert re.search(r'(?s)recording: the delay of.{0,120}was\s+estimated: ', text)
     content = json.loads(done.stdout)
     assert content['provenance']['parameter_files'][0]['path'] == 'cup.yaml'
     assert page.read_text().startswith('<!DOCTYPE html>')
-
-
-@pytest.mark.parametrize(('changes', 'named', 'code'), [
-    (('package.mass=3.6',), r' 1\.[789] kg.* package.mass', 1),
-    (('package.mass=180.0',), r' 1\.[789] kg.* package.mass', 2),
-    (('topics.tool_pose=/package/pose', 'topics.package_pose=/tool_arm/pose',
-      'topics.tool_twist='), '^bellows: The topics are exchanged', 2),
-    (('topics.package_pose=/tool_arm/pose',), '^bellows: The package does not swing', 2),
-])
-def test_a_bad_prediction_is_a_no_and_names_its_cause(changes, named, code, bellows, workshop):
-    """End with 1 where errors are several times those of noise, 2 where data cannot be used."""
-    done = bellows('replay', 'recording', '--params', 'cup.yaml',
-                   *(part for change in changes for part in ('--set', change)), cwd=workshop)
-    assert done.returncode == code
-    assert re.search(named, ' '.join(done.stderr.split()))

@@ -60,15 +60,6 @@ def test_a_page_without_matplotlib_is_refused_before_any_work(bellows, root, mon
         assert done.returncode == 2 and 'pip install matplotlib' in ' '.join(done.stderr.split())
 
 
-def test_a_replaced_cup_file_names_the_parameters_that_are_lost(bellows, root, tmp_path):
-    out = tmp_path / 'cup.yaml'
-    out.write_text('/**: {ros__parameters: {cup: {length: 0.046, lip_radius: 0.03}}}')
-    said = bellows(
-        'identify', root / 'bags/validation', '--params', root / 'bags/package.yaml',
-        '--set', 'fit.method=least_squares', '--out', out).stderr
-    assert 'cup.lip_radius of' in said and 'cup.length' not in said
-
-
 def test_a_search_that_does_not_end_gives_no_cup(bellows, root, tmp_path, monkeypatch):
     """End with 1, without standard errors and without a cup file."""
     monkeypatch.setattr(estimate, 'MAX_STEPS', (2, 2))

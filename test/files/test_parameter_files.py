@@ -5,7 +5,7 @@ import time
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.errors import BellowsError
-from bellows_ros.files import parameter_files, safe_yaml
+from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import format_parameters, read_parameters, write_parameters
 from hypothesis import given, settings, strategies
 import pytest
@@ -81,13 +81,6 @@ def test_a_node_is_given_what_ros_would_give_it(file):
 def test_errors_name_the_line_and_the_remedy(file, text, named):
     with pytest.raises(BellowsError, match=rf'p\.yaml.*{named}'):
         file(text)
-
-
-@pytest.mark.parametrize(('name', 'option'), [
-    ('bags/transport.yaml', '--motion'), ('config/limits_example.yaml', '--limits')])
-def test_another_file_of_ours_is_refused_with_its_option(name, option, root):
-    with pytest.raises(BellowsError, match=option):
-        parameter_files.read_parameters(root / name)
 
 
 def test_all_values_come_back(tmp_path):

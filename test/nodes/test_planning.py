@@ -122,7 +122,7 @@ def test_a_plan_is_answered_from_rest_and_steered(planner):
     planner.send(message(Move([0.6, 0.0, 0.0], [0.0, 0.0, 0.0], 0.5)))
     planner.wait(lambda: len(planner.plans) == 2)
     status = planner.status()
-    assert status.level == 2 and 'The cup lets go' in status.message and 'peel' in status.message
+    assert status.level == 2 and 'the cup lets go' in status.message and 'peel' in status.message
 
 
 def test_a_plan_of_joints_is_answered_and_steered_in_them(planner):

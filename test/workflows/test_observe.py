@@ -91,7 +91,7 @@ def test_both_are_better_than_either(filmed):
     assert found.counts['used'] > 300
     assert found.payload.com_std.max() < 1e-3
     assert abs(np.subtract(found.payload.com, (0.0, 0.0, -0.03))).max() < 1e-3
-    assert f'Estimated: mass {found.payload.mass:.4g} ±' in text(found.findings[1])
+    assert f'package.mass was estimated: {found.payload.mass:.5g} kg' in text(found.findings[1])
     assert found.counts['out_of_reach'] + found.counts.get('outlier', 0) >= 15
 
 

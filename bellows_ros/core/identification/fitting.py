@@ -421,7 +421,7 @@ def _relaxed(fit: Fit, found: Solution, covariance: Array) -> Fit:
     return replace(
         fit, relaxation=_pair(strengths), relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
         notes=(*fit.notes, *[Finding(
-            'no_hold', numbers={'assumed': ': r2 is assumed'})] * bool(is_assumed)))
+            'no_hold')] * bool(is_assumed)))
 
 
 def _pair(values: Array) -> tuple[float, float]:

@@ -210,8 +210,9 @@ class Margin(NamedTuple):
     @property
     def finding(self) -> Finding:
         """The margin as a finding."""
-        return safety_finding(self.factor, self.mode, 0.0, 1.0) or Finding(
-            'margin', Level.OK, self._asdict())
+        place = f'{self.mode}, at {self.time:.2f} s'
+        return safety_finding(self.factor, place, 0.0, 1.0) or Finding(
+            'grip', Level.OK, {'factor': self.factor, 'mode': place})
 
 
 def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
@@ -228,6 +229,5 @@ def safety_finding(
     """Return the finding on a safety factor that is too small, else None."""
     if math.isinf(factor) or (factor >= 1.0 and factor - 2.0 * std >= required):
         return None
-    code, level = ('lets_go', Level.ERROR) if factor < 1.0 else ('unsafe', Level.WARN)
-    return Finding(code, level, {
+    return Finding('grip', Level.ERROR if factor < 1.0 else Level.WARN, {
         'factor': factor, 'mode': mode, 'lower': factor - 2.0 * std, 'required': required})

@@ -2,6 +2,7 @@
 
 import math
 
+from bellows_ros.core.findings import Level
 from bellows_ros.core.model.grip import margin, safety_factors
 from bellows_ros.core.parameters.conversion import grip_of
 from bellows_ros.core.parameters.table import PARAMETERS
@@ -95,4 +96,4 @@ def test_the_margin_is_the_smallest_factor_with_its_time():
     each = [(factor, mode, 0.1 * k) for k in range(50) for factor, mode in zip(
         safety_factors(GRIP, *wrench(k)), ('peel', 'slip'), strict=True)]
     assert tuple(found) == min(each)
-    assert found.finding.code == ('lets_go' if found.factor < 1.0 else 'margin')
+    assert (found.finding.level == Level.OK) == (found.factor >= 1.0)
