@@ -44,7 +44,7 @@ def help_text(name: str) -> str:
     content = interface(name)
     topics = [(f'{each["name"]}  [{each["type"]}]', each['text'])
               for each in content.get('topics', ())]
-    lines = [f'usage: {name} [--help] [--version] [--ros-args ...]\n',
+    lines = [f'usage: {name} [--help] [--ros-args ...]\n',
              _wrapped(content['purpose']), '\nStart it with:',
              *(f'  {example}' for example in content['examples'])]
     for title, entries in (
@@ -89,9 +89,6 @@ def run(name: str, args: Sequence[str] | None = None, node: str = '') -> int:
     configure_process(is_node=True)
     if {'-h', '--help'} & set(before_ros):
         print(help_text(name), end='')
-        return 0
-    if '--version' in before_ros:
-        print(f'{name} {__version__}')
         return 0
     try:
         if before_ros:
@@ -151,8 +148,7 @@ def _run_node(argv: Sequence[str], node: str) -> None:
     from C. A signal during the creation of the node ends the process at once, as there is nothing
     to close.
     """
-    received: list[int] = []
-    created: list[Any] = []
+    received, created = list[int](), list[Any]()
 
     def record(number: int, frame: object) -> None:
         received.append(number)

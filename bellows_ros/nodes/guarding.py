@@ -2,24 +2,18 @@
 Nodes: callbacks and work aside may fail, parameters are those of the table; spinning.
 
 A failure is logged once, then counted; the node lives on. Parameters change live, all or nothing.
-Each message wakes a node; the garbage is collected between messages. The usual executor of rclpy
-rebuilds its list of entities after each callback, which takes longer than the callback; an
-executor that is woken by events does not.
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import wraps
-import gc
 from pathlib import Path
-import time
 import traceback
 from typing import Any
 
-from rcl_interfaces import msg as interfaces
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
@@ -34,13 +28,12 @@ from std_srvs.srv import Trigger
 from ..core.parameters import checks, table
 from ..core.parameters.values import Values
 from ..errors import BellowsError, MAX_MESSAGE, shown
-from ..report import findings, health
 
 PACKAGE = Path(__file__).parents[1]
 
-OVERRIDABLE = (
+OVERRIDABLE = QoSOverridingOptions((
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY)
+    QoSPolicyKind.DURABILITY))
 """QoS that parameters can override; durability is among them for vacuum switches with rare
 messages."""
 
@@ -103,7 +96,6 @@ class GuardedNode(Node):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Create the node; rclpy creates its first subscriptions here."""
         self.failures: Counter[str] = Counter()
-        self._without_frame: set[str] = set()
         self._aside = ThreadPoolExecutor(THREADS, 'aside')
         super().__init__(*arguments, **options)
 
@@ -115,19 +107,11 @@ class GuardedNode(Node):
         place = place or f'{Path(innermost.filename).name}:{innermost.lineno}'
         self.failures[place] += 1
         if self.failures[place] == 1:
-            with suppress(Exception):  # a log never ends a callback
-                self.get_logger().error(
-                    f'A callback failed at {place}: {type(error).__name__}: {shown(str(error))}. '
-                    'The node continues, and only counts further failures there. Please report '
-                    'it, with the traceback from --log-level debug.')
-                self.get_logger().debug(''.join(traceback.format_exception(error)))
-
-    def note_frame(self, frame_id: str, topic: str, meaning: str) -> None:
-        """Warn once about messages without a frame."""
-        if not frame_id and topic not in self._without_frame:
-            self._without_frame.add(topic)
-            self.get_logger().warning(findings.text(
-                health.fact('no_frame', topic=topic, meaning=meaning)))
+            self.get_logger().error(
+                f'A callback failed at {place}: {type(error).__name__}: {shown(str(error))}. '
+                'The node continues, and only counts further failures there. Please report '
+                'it, with the traceback from --log-level debug.')
+            self.get_logger().debug(''.join(traceback.format_exception(error)))
 
     def guarded(
         self, callback: Callable[..., Any],
@@ -167,7 +151,7 @@ class GuardedNode(Node):
             options['event_callbacks'] = SubscriptionEventCallbacks(
                 matched=self.guarded(lambda matched: on_publishers(matched.current_count)))
         if msg_type is not Clock:
-            options['qos_overriding_options'] = QoSOverridingOptions(OVERRIDABLE)
+            options['qos_overriding_options'] = OVERRIDABLE
         return super().create_subscription(
             msg_type, topic, self.guarded(callback), *more, **options)
 
@@ -184,35 +168,11 @@ class GuardedNode(Node):
         return super().create_service(
             srv_type, srv_name, self.guarded(callback, failed), **options)
 
-    def create_timer(
-        self, timer_period_sec: float, callback: Callable[[], Any], *more: Any, **options: Any
-    ) -> Any:
-        """Start a timer with a callback that may fail."""
-        return super().create_timer(timer_period_sec, self.guarded(callback), *more, **options)
-
-
-QOS_PREFIX = 'qos_overrides.'
-
 
 def ros_parameter(name: str, value: object) -> Parameter:
     """Return a value of the table as a ROS parameter."""
     return Parameter(name, Parameter.Type[table.lookup(name).kind.upper()],
                      list(value) if isinstance(value, tuple) else value)
-
-
-def descriptor(parameter: table.Parameter, read_only: bool) -> interfaces.ParameterDescriptor:
-    """Return the content of `ros2 param describe`: description, unit, constraint and range."""
-    unit = f' Unit: {parameter.unit}.' if parameter.unit else ''
-    described = interfaces.ParameterDescriptor(
-        description=parameter.description + unit,
-        additional_constraints=parameter.constraint,
-        read_only=read_only or parameter.read_only)
-    low = parameter.above if parameter.minimum is None else parameter.minimum
-    high = parameter.maximum
-    if parameter.kind == 'double' and not (low is None or high is None):  # none for arrays
-        described.floating_point_range = [
-            interfaces.FloatingPointRange(from_value=float(low), to_value=float(high))]
-    return described
 
 
 class TableNode(GuardedNode):
@@ -234,8 +194,6 @@ class TableNode(GuardedNode):
     ----------
     values : Values
         All values in the form of core; a change replaces the whole mapping.
-    doubts : tuple of str
-        Questions about unlikely values.
     overridden : frozenset of str
         Names set by a file or the command line.
 
@@ -252,34 +210,44 @@ class TableNode(GuardedNode):
     ) -> None:
         with refusals_of_ros(f"create the node '{user}'"):
             super().__init__(user, **options)
-        self._read_only = read_only
+        self._read_only, self._doubts = read_only, set[str]()
         overridden = {
             name: parameter.value for name, parameter in self._parameter_overrides.items()
-            if not (self.has_parameter(name) or name.startswith(QOS_PREFIX))}
+            if not (self.has_parameter(name) or name.startswith('qos_overrides.'))}
         self.overridden = frozenset(overridden)
         required = [p.name for p in table.parameters_for(user) if p.default is None]
-        self.values: Values = checks.resolve(
-            overridden, () if overridden.get('package.files') else required)
-        self.doubts = self.check_values(self.values)
+        self._use(checks.resolve(
+            overridden, () if overridden.get('package.files') else required))
         for name, value in self.values.items():
             if name not in results and user in table.lookup(name).used_by:
                 self.declare_from_table(name, value)
         self.add_on_set_parameters_callback(self._validate)
         self.add_post_set_parameters_callback(self.guarded(self._apply))
 
-    def check_values(self, values: Values) -> tuple[str, ...]:
+    def check_values(self, values: Values) -> Collection[str]:
         """Return doubts about values; raise BellowsError if valid values contradict each other."""
         return ()
 
-    def on_values(self, before: Mapping[str, object]) -> None:
-        """Apply new `values`; called with the previous values of the changed parameters."""
+    def on_values(self) -> None:
+        """Apply new `values`."""
+
+    def _use(self, values: Values) -> None:
+        """Check and store values, and log new doubts about them."""
+        known, self._doubts = self._doubts, set(self.check_values(values))
+        self.values = values
+        for doubt in self._doubts - known:
+            self.get_logger().warning(doubt)
 
     def declare_from_table(self, name: str, value: table.Value) -> None:
         """Declare a parameter of the table with a checked value."""
-        typed = ros_parameter(name, value)
+        typed, parameter = ros_parameter(name, value), table.lookup(name)
+        unit = f' Unit: {parameter.unit}.' if parameter.unit else ''
         self.declare_parameter(
             name, typed.type_ if value == () else typed.value,  # an empty list has no type
-            descriptor(table.lookup(name), self._read_only), ignore_override=True)
+            ParameterDescriptor(
+                description=parameter.description + unit,
+                additional_constraints=parameter.constraint,
+                read_only=self._read_only or parameter.read_only), ignore_override=True)
 
     def _changed(self, parameters: Sequence[Parameter]) -> dict[str, table.Value]:
         """Return the parameters of the table with new values; raise BellowsError for bad ones."""
@@ -299,14 +267,11 @@ class TableNode(GuardedNode):
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
-        """Use parameters that were set together in one step, and log new doubts about them."""
+        """Use parameters that were set together in one step."""
         if changed := self._changed(parameters):
-            before, known = self.values, self.doubts
-            self.values = before.replaced(changed)
-            self.doubts = self.check_values(self.values)
-            for doubt in set(self.doubts) - set(known):
-                self.get_logger().warning(doubt)
-            self.on_values({name: before[name] for name in changed})
+            self._use(self.values.replaced(changed))
+            self.get_logger().info(f'Set while running: {", ".join(changed)}.')
+            self.on_values()
 
 
 class ManagedNode(LifecycleNodeMixin, TableNode):
@@ -335,44 +300,29 @@ class ManagedNode(LifecycleNodeMixin, TableNode):
 
 
 MAX_SPIN_WAIT = 0.1
-"""Longest call of the executor, and longest delay of a request to end, s."""
-
-COLLECTION_PERIOD = 1.0
-"""Period of the garbage collector, s."""
+"""Longest call of the executor, and longest delay of a request to end, s: Python cannot process a
+signal during an endless call."""
 
 
 def executor_for(node: GuardedNode) -> Any:
     """
-    Return an executor for a node, woken by events if possible.
+    Return an executor for a node, woken by events, which rclpy has since 7.1.4.
 
-    The event executor is available since rclpy 7.1.4. This executor supports no guard conditions,
-    and raises RuntimeError at its first spin if the middleware has no callbacks.
+    The usual executor rebuilds its list of entities after each callback, which takes longer than
+    the callback.
     """
-    with suppress(ImportError):
-        from rclpy.experimental.events_executor import EventsExecutor
-
-        woken = EventsExecutor(context=node.context)
-        woken.add_node(node)
-        try:
-            woken.spin_once(timeout_sec=0.0)
-            return woken
-        except RuntimeError:
-            woken.shutdown()
-        except Exception as error:  # noqa: BLE001 (of a callback that is due: the node goes on)
-            node.note_failure(error)
-            return woken
-    waiting = SingleThreadedExecutor(context=node.context)
-    waiting.add_node(node)
-    return waiting
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor as Executor
+    except ImportError:
+        Executor = SingleThreadedExecutor
+    executor = Executor(context=node.context)
+    executor.add_node(node)
+    return executor
 
 
 def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
     """
     Let a node work until it has finished or is asked to stop, and close it.
-
-    The garbage collector ignores objects made before the call, and runs between two callbacks.
-    Each call of the executor ends after `MAX_SPIN_WAIT`, because Python cannot process a signal
-    during an endless call.
 
     Parameters
     ----------
@@ -383,10 +333,6 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
 
     """
     executor = executor_for(node)
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    due = time.monotonic() + COLLECTION_PERIOD
     try:
         while not (is_asked_to_stop() or node.finished.done()):
             try:
@@ -395,13 +341,8 @@ def spin(node: Any, is_asked_to_stop: Callable[[], bool]) -> None:
                 if not node.context.ok():
                     raise
                 node.note_failure(error)
-            if time.monotonic() > due:
-                gc.collect()
-                due = time.monotonic() + COLLECTION_PERIOD
         if node.finished.done():
             node.finished.result()
     finally:
-        gc.enable()
-        gc.unfreeze()
         executor.shutdown()
         node.close()

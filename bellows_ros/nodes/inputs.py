@@ -31,7 +31,6 @@ from ..core.geometry import lie
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.observer.observer import Observer, VERDICTS
 from ..core.sensors.camera import TagCamera
-from ..core.sensors.set_up import Fault
 from ..core.signals.screening import PoseSample
 from ..core.signals.trajectory import NS_PER_S, same_frame
 from ..core.signals.transforms import Chain
@@ -71,6 +70,7 @@ class SensorInput:
         on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
     ) -> None:
         self._node, self._type = node, type_name(kind)
+        self._clock: Any = node.get_clock()
         self.last_ns, self._count, self.age = -1, 0, math.nan
         self._intervals, self._ages = health.window(), health.window()
         self._refused: Mapping[str, int] = {}
@@ -85,14 +85,12 @@ class SensorInput:
         """
         Record a message, and its age if it has a stamp; return its arrival (ns), monotonic.
 
-        The system's clock is read in 0.04 us instead of 2.5 us for the node's clock. Both are
-        equal unless time is simulated, which is checked once per report.
+        The system's clock is read in 0.04 us instead of 2.5 us for the node's clock; both are
+        equal unless time is simulated.
         """
         arrival_ns = time.monotonic_ns()
-        if not self._count:
-            self._clock = self._node.get_clock()
-            self._is_simulated = bool(getattr(self._clock, 'ros_time_is_active', False))
-        now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
+        now_ns = self._clock.now().nanoseconds if self._clock.ros_time_is_active else (
+            time.time_ns())
         self.age = math.nan if stamp_ns is None else (now_ns - stamp_ns) / NS_PER_S
         if self.last_ns >= 0:
             self._intervals.append((arrival_ns - self.last_ns) / NS_PER_S)
@@ -199,63 +197,40 @@ class Attachment:
     pipeline : Predicting
         Pipeline that attaches and detaches the package.
 
-    Attributes
-    ----------
-    signal : SensorInput or None
-        The vacuum signal, None without vacuum.signal.
-
     """
 
     def __init__(self, pipeline: Predicting) -> None:
         """Offer the services, and subscribe to the vacuum if configured."""
-        self._pipeline, node = pipeline, pipeline.node
-        self._kind = pipeline.live.values.vacuum.signal
+        self._pipeline, self._live, node = pipeline, pipeline.live, pipeline.node
+        self._kind = self._live.values.vacuum.signal
         for service, held, words in (
                 ('attach', True, 'Attached: starts from rest at the next tool pose.'),
                 ('detach', False, 'Detached: nothing is predicted.')):
             node.create_trigger(f'package/{service}', partial(
-                pipeline.publish, pipeline.live.set_attached, held), words)
+                pipeline.publish, self._live.set_attached, held), words)
         self._refused = Counter[str]()
-        self.signal = None if self._kind == 'none' else SensorInput(node, *{
-            'bool': (Bool, 'vacuum/held', self._on_held),
-            'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
+        if self._kind != 'none':
+            self._signal = SensorInput(node, *{
+                'bool': (Bool, 'vacuum/held', self._on_held),
+                'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
 
     def _on_held(self, message: Bool) -> None:
         """Process a message of a vacuum switch."""
-        assert self.signal
-        self.signal.note()
-        self._pipeline.change(self._pipeline.live.on_vacuum, message.data)
+        self._signal.note()
+        self._pipeline.change(self._live.on_vacuum, message.data)
 
     def _on_pressure(self, message: FluidPressure) -> None:
         """Process the pressure in the cup, and continue without a gripper's lost cups."""
-        assert self.signal
-        live = self._pipeline.live
-        if len(live.values.cup.layout) > 3:
-            self._pipeline.node.note_frame(
-                message.header.frame_id, self.signal.topic, 'the pressure is that of all cups')
-        self.signal.note(stamp_to_ns(message.header.stamp))
-        opened = live.vacuum.open_cups
-        rejected = self._pipeline.change(
-            live.on_pressure, message.fluid_pressure, message.header.frame_id)
-        if rejected:
+        self._signal.note(stamp_to_ns(message.header.stamp))
+        if rejected := self._pipeline.change(
+                self._live.on_pressure, message.fluid_pressure, message.header.frame_id):
             self._refused[rejected] += 1
-            if live.vacuum.fault:
-                self._pipeline.node.get_logger().error(
-                    findings.text(health.fact('pressure', topic=self.signal.topic,
-                                              reason=health.REASONS[live.vacuum.fault])),
-                    throttle_duration_sec=30.0)
-        elif live.vacuum.open_cups != opened:
-            cups = ', '.join(map(str, live.vacuum.open_cups))
-            self._pipeline.node.get_logger().warning(
-                f'Without vacuum: cups {cups} of cup.layout.' if cups else 'All cups have vacuum.')
 
     def status(self, name: str) -> health.Status | None:
         """Return the diagnostics line on the vacuum signal, if any."""
-        if self.signal is None:
-            return None
-        return health.vacuum_status(
-            name, self.signal.report(self._refused), self._pipeline.live.attached,
-            latched=self._kind == 'bool')
+        return None if self._kind == 'none' else health.vacuum_status(
+            name, self._signal.report(self._refused), self._live.attached,
+            self._live.vacuum.open_cups, latched=self._kind == 'bool')
 
 
 MEASURED = 'package/measured'
@@ -287,31 +262,27 @@ class PackageInput:
 
     def __init__(self, pipeline: Predicting) -> None:
         """Subscribe; nothing changes before the first message."""
-        self._pipeline, node = pipeline, pipeline.node
-        self._live = pipeline.live
-        kind = pipeline.live.values.measured.type
+        self._pipeline, self._live, node = pipeline, pipeline.live, pipeline.node
+        given = self._live.values.measured
+        kind, self._child_frame = given.type, given.child_frame.lstrip('/')
         self._with_covariance, self._published_ns = kind in ('pose_with_covariance', 'odometry'), 0
         self._compiling, self._reported = Once(node, pipeline.compile_filter), 0
-        self._tag, self._no_view = TagCamera(), Counter[str]()
-        self._child_frame = pipeline.live.values.measured.child_frame.lstrip('/')
+        self._tag, self._frame = TagCamera(), ''
+        self._no_view, self._no_wrench = Counter[str](), Counter[str]()
         topic, most, use = {
             'tf': ('/tf', math.inf, self._on_transforms),
             'detections': (MEASURED, MAX_VIEWS, self._on_detections),
         }.get(kind, (MEASURED, MAX_MEASURED, self._on_measured))
         self._type = TOOL_POSES.get(kind) or optional_type(
             TRANSFORMS if kind == 'tf' else DETECTIONS, f'measured.type is {kind}', MEASURED)
-        self._measured_in = SensorInput(
-            node, self._type, topic, self._limited(most, self._no_view, use),
-            self._compiling.on_peers)
+        self._measured_in = self._input(self._type, topic, most, self._no_view, use)
         if kind == 'detections':
             SensorInput(node, CameraInfo, 'package/camera_info', self._on_camera_info)
         elif kind != 'tf':
             self._read = reader(self._type)
-        self._read_wrench, self._no_wrench = reader(WrenchStamped), Counter[str]()
-        self._wrench_in = SensorInput(
-            node, WrenchStamped, 'tool_arm/wrench',
-            self._limited(MAX_WRENCHES, self._no_wrench, self._on_wrench),
-            self._compiling.on_peers)
+        self._read_wrench = reader(WrenchStamped)
+        self._wrench_in = self._input(
+            WrenchStamped, 'tool_arm/wrench', MAX_WRENCHES, self._no_wrench, self._on_wrench)
         self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
         self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
 
@@ -325,15 +296,16 @@ class PackageInput:
         """The observer that corrects the predictions."""
         return self._live.package.observer
 
-    def _limited(
-        self, most: float, refused: Counter[str], use: Callable[[Any], None]
-    ) -> Callable[[Any], None]:
-        """Return a callback that uses at most so many messages for each pose of the tool."""
+    def _input(
+        self, kind: type, topic: str, most: float, refused: Counter[str],
+        use: Callable[[Any], None],
+    ) -> SensorInput:
+        """Subscribe, and use at most so many messages for each pose of the tool."""
         poses = count = 0
 
         def on_message(message: Any) -> None:
             nonlocal poses, count
-            if not self.is_ready:
+            if not (self.is_ready and self._pipeline.node.is_active):
                 return
             before, poses = poses, self._live.tool.poses
             count = count + 1 if poses == before else 1
@@ -342,7 +314,8 @@ class PackageInput:
             else:
                 refused['too_many'] += 1
 
-        return on_message
+        return SensorInput(
+            self._pipeline.node, kind, topic, on_message, self._compiling.on_peers)
 
     def _on_measured(self, data: bytes) -> None:
         """Correct the prediction by a measured pose."""
@@ -352,20 +325,11 @@ class PackageInput:
 
     def _on_wrench(self, data: bytes) -> None:
         """Correct the prediction by a wrench of the force-torque sensor."""
-        if not self._pipeline.node.is_active:
-            return
         stamp_ns, (frame_id,), numbers = self._read_wrench(data)
         self._wrench_in.note(stamp_ns)
-        self._pipeline.node.note_frame(
-            frame_id, self._wrench_in.topic, 'its axes are those of wrench.frame')
-        refused = self._pipeline.change(
-            self._live.on_wrench, stamp_ns, frame_id, numbers[:3], numbers[3:])
-        if refused:
+        if refused := self._pipeline.change(
+                self._live.on_wrench, stamp_ns, frame_id, numbers[:3], numbers[3:]):
             self._no_wrench[refused] += 1
-        elif fault := self._live.wrench_fault:
-            self._pipeline.node.get_logger().error(
-                f'{findings.text(self._wrong_wrench(fault))} The wrenches are not used.',
-                throttle_duration_sec=30.0)
         self._publish_payload()
 
     def _on_transforms(self, message: Any) -> None:
@@ -379,14 +343,14 @@ class PackageInput:
     def _on_camera_info(self, message: CameraInfo) -> None:
         """Note the calibration of a camera."""
         try:
-            self._tag.calibrate(message, self._pipeline.live.values.measured.rectified)
+            self._tag.calibrate(message, self._live.values.measured.rectified)
         except BellowsError as error:
             self._pipeline.node.get_logger().error(str(error), throttle_duration_sec=30.0)
 
     def _on_detections(self, data: bytes) -> None:
         """Correct the prediction by the corners of a tag, in its camera."""
         message = deserialize_message(data, self._type)
-        given, stamp_ns = self._pipeline.live.values.measured, stamp_to_ns(message.header.stamp)
+        given, stamp_ns = self._live.values.measured, stamp_to_ns(message.header.stamp)
         seen = self._tag.pose(message, given.tag_size, given.child_frame)
         if not isinstance(seen, str):
             position, rotation = seen
@@ -395,30 +359,15 @@ class PackageInput:
         elif seen:
             self._measured_in.note(stamp_ns)
             self._no_view[seen] += 1
-            self._pipeline.node.get_logger().warning(
-                f'Corners on {self._measured_in.topic} are not used: {health.REASONS[seen]} '
-                f'(tags {", ".join(map(shown, self._tag.tags))}, frame '
-                f"'{shown(message.header.frame_id)}', calibration on package/camera_info).",
-                throttle_duration_sec=10.0)
 
     def _correct(
         self, stamp_ns: int, frame_id: str, pose: tuple[Vector, Quaternion],
         covariance: Any = None,
     ) -> None:
         """Correct the prediction, and publish the estimated package."""
-        live, node = self._live, self._pipeline.node
-        arrival_ns = self._measured_in.note(stamp_ns)
+        arrival_ns, self._frame = self._measured_in.note(stamp_ns), frame_id
         self._pipeline.change(
-            live.on_measured, stamp_ns, frame_id, *pose, covariance, arrival_ns)
-        if live.newest_ns < 0:  # before the first pose of the tool
-            return
-        if not self._observer.sensor.has_own_world:
-            node.note_frame(
-                frame_id, self._measured_in.topic, 'its frame is that of the tool poses')
-            if not same_frame(frame_id, live.frame_id):
-                node.get_logger().warning(findings.text(health.fact(
-                    'measured_frame', topic=self._measured_in.topic, frame=shown(frame_id),
-                    tool=shown(live.frame_id))), throttle_duration_sec=10.0)
+            self._live.on_measured, stamp_ns, frame_id, *pose, covariance, arrival_ns)
         self._publish_payload()
 
     def _publish_payload(self) -> None:
@@ -440,25 +389,26 @@ class PackageInput:
             self._pipeline.node.get_logger().error(
                 f'Alarm, {alarm.kind}: {findings.text(alarm.finding)}')
 
-    def wrench_status(self, name: str) -> health.Status | None:
-        """Return the line of the diagnostics on the wrenches; None before the first message."""
-        if self._wrench_in.last_ns < 0:
+    def _is_used(self, source: SensorInput, prefix: str) -> bool:
+        """Return whether a stream has come, or is described by parameters that are set."""
+        return source.last_ns >= 0 or any(
+            name.startswith(prefix) for name in self._pipeline.node.overridden)
+
+    def wrench_status(self) -> health.Status | None:
+        """Return the line of the diagnostics on the wrenches, if there are any."""
+        if not self._is_used(self._wrench_in, 'wrench.'):
             return None
-        status = health.input_status(name, self._wrench_in.report(self._no_wrench))
-        if fault := self._live.wrench_fault:
-            return status._replace(finding=self._wrong_wrench(fault))
-        return status
+        status = health.input_status('wrench', self._wrench_in.report(self._no_wrench))
+        fault = self._live.wrench_fault
+        return status._replace(finding=health.fact(
+            'wrench', Level.ERROR, self._wrench_in.topic,
+            reason=health.REASONS[f'wrench_{fault.name}'].format(
+                rotation=fault.rotation))) if fault else status
 
-    def _wrong_wrench(self, fault: Fault) -> Finding:
-        """Return the finding on a wrong set-up of the force-torque sensor, which is not used."""
-        return health.fact('wrench', Level.ERROR, self._wrench_in.topic,
-                           reason=health.REASONS[f'wrench_{fault.name}'].format(
-                               rotation=fault.rotation))
-
-    def status(self, name: str) -> health.Status | None:
-        """Return the line of the diagnostics; None before the first message."""
+    def status(self) -> health.Status | None:
+        """Return the line of the diagnostics on measured poses, if there are any."""
         observer, live = self._observer, self._live
-        if self._measured_in.last_ns < 0 and not observer.has_sensor:
+        if not self._is_used(self._measured_in, 'measured.'):
             return None
         counts, payload = observer.counts, observer.payload
         more: dict[str, object] = {what: counts[what] for what in ('used', 'recovered')}
@@ -467,10 +417,13 @@ class PackageInput:
             for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
                 more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
         more |= Counter(f'alarm: {alarm.kind}' for alarm in live.alarms)
-        status = health.input_status(
-            name, self._measured_in.report(
-                {**{verdict: counts[verdict] for verdict in VERDICTS}, **self._no_view}))
+        status = health.input_status('measured package', self._measured_in.report(
+            {**{verdict: counts[verdict] for verdict in VERDICTS}, **self._no_view}))
         status.values.update({key: str(value) for key, value in more.items()})
         if alarm := live.alarm:
             return status._replace(finding=alarm.finding)
+        if not (observer.sensor.has_own_world or same_frame(self._frame, live.frame_id)):
+            return status._replace(finding=health.fact(
+                'measured_frame', topic=self._measured_in.topic, frame=shown(self._frame),
+                tool=shown(live.frame_id)))
         return status if live.attached else status.at_level(min(status.level, Level.WARN))

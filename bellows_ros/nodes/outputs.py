@@ -182,8 +182,7 @@ class Outputs:
                 part.advertise(node)
         self._last_state = ''
         self._was_ok: bool | None = None
-        self._extrapolated_ns = self._drawn_ns = -1
-        self._is_late = self._is_due = False
+        self._drawn_ns = -1
 
     def _make_pose(self, now: Prediction) -> bytes:
         """Return the pose of the package in the frame of the tool's poses."""
@@ -204,25 +203,15 @@ class Outputs:
             *vacuum.deflection(self._shared.live.model, now)[0], *vacuum.deflection_rotation(now))
 
     def publish(self, prediction: Prediction) -> None:
-        """
-        Publish the pose of a prediction.
-
-        Each pose of the tool gives exactly one pose of the package on package/pose. On other
-        topics, no stamp is earlier than the stamp of an extrapolated prediction.
-        """
-        stamp_ns = prediction.stamp_ns
-        self._is_late = 0 <= self._extrapolated_ns - stamp_ns < 1_000_000_000  # of one clock
-        if not self._is_late:
-            self._extrapolated_ns = stamp_ns if prediction.coasting else -1
-        self._is_due = not prediction.coasting
-        if self._is_due:
+        """Publish the pose of a prediction, one for each pose of the tool."""
+        if not prediction.coasting:
             self.pose.publish(self._make_pose(prediction))
 
     def publish_more(
         self, prediction: Prediction, factors: tuple[float, float] | None
     ) -> None:
         """Publish all other outputs for the last prediction, and its safety factors."""
-        if self._is_due:
+        if not prediction.coasting:
             self._twist.send(prediction)
             self._wrench.send(prediction)
             if factors and self._safety.subscribed:
@@ -230,8 +219,6 @@ class Outputs:
                     messages.VECTOR, (messages.LIP_FRAME,), prediction.stamp_ns,
                     # many plots cannot show infinity
                     *(min(factor, 1000.0) for factor in (*factors, min(factors)))))
-        if self._is_late:
-            return
         self._odometry.send(prediction)
         self._deflection.send(prediction)
         if not 0 <= prediction.stamp_ns - self._drawn_ns < 40_000_000:  # 25 Hz

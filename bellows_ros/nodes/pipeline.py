@@ -42,7 +42,7 @@ TICK = 0.02
 """Period of the check for waiting poses, gaps and the state, s."""
 
 MAX_SILENCE_NS = 40_000_000
-"""Longest wait of a pose for its twist without any message, and longest tick in time, ns."""
+"""Longest wait of a pose for its twist without any message, ns."""
 
 OTHER_CLOCK_NS = 500_000_000
 """Difference of the node's clock from the newest stamp from which stamps are of another clock,
@@ -73,9 +73,7 @@ class Pipeline(Predicting):
         self.node = node
         values = node.values
         self.compute, self._reported = health.window(), Counter[str]()
-        self._ticked_ns = 0
-        self._was_late = self._is_compiling = self._needs_filter = False
-        self._arrival_at_last_tick: int | None = None
+        self._is_compiling = False
         if is_first := is_new():
             node.get_logger().info('Compiling (once a version): about a minute.')
         self._compile_predictor(values)
@@ -100,7 +98,8 @@ class Pipeline(Predicting):
             Bool, 'vacuum/valve', lambda message: self.switch_valve(message.data), 10)
         self.observing = PackageInput(self)
         # each costs as much as a message
-        node.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(
+            TICK, node.guarded(self._tick), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def new_counts(self) -> Counter[str]:
         """Return restarts by reason, poses, and poses without a twist, since the last call."""
@@ -132,8 +131,6 @@ class Pipeline(Predicting):
         if not self.node.is_active:
             return
         stamp_ns, names, numbers = self._read_pose(data)
-        if not names[0]:
-            self.node.note_frame('', self.pose_in.topic, 'no output has a frame for RViz and tf')
         if self._twist_at:
             twist = numbers[self._twist_at]
             self._has_odometry_twists |= any(twist)
@@ -146,36 +143,29 @@ class Pipeline(Predicting):
         if not (self.node.is_active and self.twist_in):
             return
         stamp_ns, names, numbers = self._read_twist(data)
-        if not names[0]:
-            self.node.note_frame(
-                '', self.twist_in.topic, 'its axes are those of tool_twist.frame alone')
         arrival_ns = self.twist_in.note(stamp_ns)
         self.publish(self.live.on_twist, stamp_ns, numbers[:3], numbers[3:], names[0])
         self.compute.append((time.monotonic_ns() - arrival_ns) / NS_PER_S)
 
-    def advance(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        """Run one step of the live predictor; reset it if the step raises."""
+    def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the result of a step of the live predictor; start from rest if it raises."""
+        before = self.live.state
         try:
             return step(*arguments)
         except Exception:
-            self.restart('failure')
+            self.live.reset('failure')
             raise
-
-    def restart(self, reason: str) -> None:
-        """Start from rest after a failure, or after simulated time was set."""
-        if self.node.is_active:
-            self.live.reset(reason)
+        finally:
+            self._report(before)
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
         """Publish the predictions of a step, even if other outputs fail."""
-        was_predicting, before = self.live.latest is not None, self.live.state
-        for prediction in self.advance(step, *arguments):
+        was_predicting = self.live.latest is not None
+        for prediction in self.change(step, *arguments):
             self.outputs.publish(prediction)
             self._publish_secondary_guarded(prediction)
         if self.live.latest and not was_predicting:  # a tick may be too late to see it
             self.publish_state()
-        if self.live.state != before:
-            self.report(before)
 
     def _publish_secondary(self, prediction: Prediction) -> None:
         """Publish all but the pose, and record the load of the cup."""
@@ -220,14 +210,7 @@ class Pipeline(Predicting):
         self.compile_filter()
         landing.warm_up(self.live.values, self.live.model)
 
-    def change(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the result of a step that may change the package's state; report a change."""
-        before = self.live.state
-        outcome = self.advance(step, *arguments)
-        self.report(before)
-        return outcome
-
-    def report(self, before: str) -> None:
+    def _report(self, before: str) -> None:
         """Log alarms and a change of the package's state."""
         self.observing.log_alarms()
         if self.live.state != before:
@@ -236,23 +219,17 @@ class Pipeline(Predicting):
 
     def _tick(self) -> None:
         """Predict for waiting poses when no more messages arrive, and bridge a gap."""
-        before_ns, self._ticked_ns = self._ticked_ns, time.monotonic_ns()
-        # After a pause of this process, waiting messages come first.
-        self._was_late = not self._was_late and self._ticked_ns - before_ns > MAX_SILENCE_NS
         if self._is_compiling:
             self.use_values()
-        if not self.node.is_active or self._was_late:
+        if not self.node.is_active:
             return
-        live, arrivals = self.live, self.live.tool.arrivals
+        live, now_ns = self.live, time.monotonic_ns()
         if live.tool.pairing.waiting and (
-                self._ticked_ns - (arrivals.newest_ns or 0) >= MAX_SILENCE_NS):
+                now_ns - (live.tool.arrivals.newest_ns or 0) >= MAX_SILENCE_NS):
             self.publish(live.flush)
-        if arrivals.newest_ns == self._arrival_at_last_tick:
-            self.publish(live.coast, self._ticked_ns)
-        self._arrival_at_last_tick = arrivals.newest_ns
-        self.report(live.state)
+        self.publish(live.coast, now_ns)
         self.publish_state()
-        if held := self.live.latest:
+        if held := live.latest:
             self.load.watch_deflection(live.model, held)
 
     def publish_state(self) -> None:
@@ -281,23 +258,20 @@ class Pipeline(Predicting):
     def _compile_predictor(self, values: Values) -> ModelTuple:
         """Compile the predictor for some values; return their model."""
         cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
-        model = model_tuple(cup, package, gravity)
         warm_up(cup, package, gravity, values.tool_twist.frame)
-        return model
+        return model_tuple(cup, package, gravity)
 
     def compile_filter(self) -> None:
+        """Compile the filter, in a thread."""
         if self.compiler:
             self.node.get_logger().info('Compiling the observer; its topics wait for it.')
             self.compiler.wait()
-        self._needs_filter = True
         warm_up_observer(self.live.values, self.live.model)
-        gc.freeze()  # as `spin` does: the compiler's garbage is never scanned again
+        gc.freeze()  # as `configure` does: the compiler's garbage is never scanned again
 
     def _compile(self, values: Values) -> None:
         """Compile for values of another kind, in a thread; the next tick continues with them."""
-        model = self._compile_predictor(values)
-        if self._needs_filter:
-            warm_up_observer(values, model)
+        warm_up_observer(values, self._compile_predictor(values))
 
 
 def compile_topics(values: Values) -> None:

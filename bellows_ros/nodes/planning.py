@@ -167,8 +167,6 @@ class Planning:
         values = self._pipeline.live.values
         message, = plans.plans_of(messages.decoded(data, plans.MULTI_DOF))
         self._require_frame(message.frame_id)
-        self._pipeline.node.note_frame(
-            message.frame_id, 'tool_arm/plan', 'its frame is that of the tool poses')
         plan = plan_of(message.times_ns, message.points, message.rates,
                        values.tool_twist.frame)
         motion = plan if isinstance(plan, Trajectory) else plan.trajectory()

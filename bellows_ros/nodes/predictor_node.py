@@ -1,6 +1,6 @@
 """The node that publishes the pose of the held package, and its health on /diagnostics."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 import gc
 import time
@@ -9,22 +9,20 @@ from typing import Any
 from bellows_ros.core.parameters.values import Values
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
-from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.lifecycle.node import LifecycleNodeMixin
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 
-from .guarding import ManagedNode, QOS_PREFIX, TableNode
+from .guarding import ManagedNode, TableNode
 from .pipeline import Pipeline
 from ..core.findings import Level
 from ..core.geometry.jit import COMPILED, NOT_COMPILED
 from ..core.live.vacuum import check_live
 from ..core.parameters import checks
-from ..core.parameters.conversion import grip_of
 from ..errors import BellowsError, MAX_MESSAGE, shown
 from ..report import health
 
@@ -73,11 +71,7 @@ class PredictorNode(ManagedNode):
         self._before: set[Any] | None = None  # entities of the unconfigured node
         self._failure, self.is_active = '', False
         self.diagnostics = Diagnostics(self)
-        self._jumps = self.get_clock().create_jump_callback(
-            JumpThreshold(
-                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True),
-            post_callback=self.guarded(self._on_clock_jump))
-        self.create_timer(REPORT_PERIOD, lambda: self.diagnostics.report(),
+        self.create_timer(REPORT_PERIOD, self.guarded(lambda: self.diagnostics.report()),
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         if not self.values.autostart:
             self.get_logger().info('Unconfigured: waits for its lifecycle manager (autostart).')
@@ -106,18 +100,18 @@ class PredictorNode(ManagedNode):
         return super().on_configure(state)
 
     def configure(self) -> None:
-        """Make the pipeline: model, inputs and outputs."""
-        gc.unfreeze()  # the pipeline before, a cycle, which the warm-up has frozen
-        gc.collect()
-        gc.freeze()
+        """
+        Make the pipeline: model, inputs and outputs.
+
+        The garbage collector ignores all objects made until then.
+        """
+        gc.unfreeze()
         self.create_trigger('~/reset', self.reset,
                             'Starts from static equilibrium at the next tool pose.')
         self.pipeline = Pipeline(self)
         self._log_model(self.pipeline)
-        for name in self._parameter_overrides:
-            if name.startswith(QOS_PREFIX) and not self.has_parameter(name):
-                self.get_logger().warning(
-                    f"The QoS override '{shown(name)}' matches no topic of this node.")
+        gc.collect()
+        gc.freeze()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let publishers publish and callbacks work; start from rest at the next tool pose."""
@@ -196,26 +190,15 @@ class PredictorNode(ManagedNode):
             self._state_machine.destroy_when_not_in_use()
 
     def _log_model(self, pipeline: Pipeline) -> None:
-        """Log the cup and the package in use."""
-        log, values = self.get_logger().info, pipeline.live.values
+        """Log the cup in use, and the topics."""
+        log = self.get_logger().info
         if thesis := sorted({*CUP} - self.overridden):
             log(f"Not set, so using the thesis's values: {', '.join(thesis)}. Identify your own "
                 "with 'bellows identify'.")
-        log(f'Package of {values.package.mass:g} kg.')
-        for sentence in self.doubts:
-            self.get_logger().warning(sentence)
-        inputs = [each.topic for each in (pipeline.pose_in, pipeline.twist_in) if each]
         if not COMPILED:
             log(f'A prediction takes 100 times as long, as {NOT_COMPILED}.')
-        log(f'Listens to {" and ".join(inputs)}, publishes '
-            f'{pipeline.outputs.pose.name}.')
-        if grip_of(values, 0.0 if values.vacuum.signal == 'pressure' else None) is None:
-            log('The safety factor of the grip is unknown: set cup.lip_radius and vacuum.holding.')
-
-    def _on_clock_jump(self, jump: Any) -> None:
-        """Reset the prediction after a jump of simulated time."""
-        if self.pipeline:
-            self.pipeline.restart('clock_jump')
+        inputs = [each.topic for each in (pipeline.pose_in, pipeline.twist_in) if each]
+        log(f'Listens to {" and ".join(inputs)}, publishes {pipeline.outputs.pose.name}.')
 
     def reset(self) -> None:
         """Restart from static equilibrium."""
@@ -223,37 +206,19 @@ class PredictorNode(ManagedNode):
         self.pipeline.publish(self.pipeline.live.flush)
         self.pipeline.live.reset()
 
-    def check_values(self, values: Values) -> tuple[str, ...]:
+    def check_values(self, values: Values) -> Collection[str]:
         """Raise for impossible cups and packages; return doubts."""
         check_live(values)
         return checks.implausible(values)
 
-    def on_values(self, before: Mapping[str, object]) -> None:
+    def on_values(self) -> None:
         """Use the new cup and package; the state of motion is kept."""
-        for name, old in before.items():
-            self.get_logger().info(
-                f'Set while running: {name} from {_brief(old)} to {_brief(self.values[name])}.')
         if self.pipeline:
             self.pipeline.use_values()
 
 
-def _brief(value: object) -> str:
-    """Return a value for the log, a matrix by its diagonal."""
-    if not isinstance(value, tuple):
-        return shown(value)
-    step = 7 if len(value) == 36 else 1
-    texts = [f'{x:.6g}' if isinstance(x, float) else shown(x) for x in value[::step]]
-    return f'{"diagonal " * (step > 1)}[{", ".join(texts)}]'
-
-
-LOG_DELAY = 5.0
-"""Duration of silence before it is logged, s."""
-
 LOG_INTERVAL = 30.0
 """Time before a fault is logged again, s."""
-
-LOGGED = ('prediction', 'tool pose', 'tool twist', 'load')
-"""Lines with faults that are logged; others log their faults as they occur."""
 
 UNLOGGED = ('flips', 'no_poses', 'outside', 'state')
 """Findings that another line explains, or that come and go with the motion."""
@@ -290,8 +255,15 @@ class Diagnostics:
                         for key, value in line.values.items()])
             for line in lines]
         self._publisher.publish(message)
+        now, log = time.monotonic(), self._node.get_logger()
         for line in lines:
-            self._log(line)
+            code, key = line.finding.code, (line.name, line.finding.code, line.level)
+            if line.level == Level.OK or code in UNLOGGED or code.startswith('alarm_'):
+                continue
+            if now >= self._due.get(key, 0.0):
+                self._due[key] = now + LOG_INTERVAL
+                text = shown(line.message, MAX_MESSAGE)
+                log.error(text) if line.level == Level.ERROR else log.warning(text)
 
     def _lines(self) -> list[health.Status]:
         """Return all lines."""
@@ -321,25 +293,9 @@ class Diagnostics:
         twists = twist_in.report(of_twists) if twist_in else poses._replace(
             refused={}, total_refused=of_twists)
         others = (
-            pipeline.observing.status('measured package'),
-            pipeline.observing.wrench_status('wrench'), pipeline.attachment.status('vacuum'),
-            pipeline.planning.status)
+            pipeline.observing.status(), pipeline.observing.wrench_status(),
+            pipeline.attachment.status('vacuum'), pipeline.planning.status)
         return [
             line, health.input_status('tool pose', poses),
             health.twist_status('tool twist', twists, new['poses'], new['alone'] * bool(twist_in)),
             health.load_status('load', pipeline.load), *filter(None, others)]
-
-    def _log(self, line: health.Status) -> None:
-        """Log a fault of a line, again only at intervals; silence only if it persists."""
-        now, code = time.monotonic(), line.finding.code
-        key = line.name, code, line.level
-        if line.level == Level.OK:
-            self._due = {key: due for key, due in self._due.items() if key[0] != line.name}
-        elif code in UNLOGGED or not (line.name in LOGGED or code == 'publishers'):
-            return
-        elif now >= self._due.setdefault(key, now + LOG_DELAY * (code == 'silent')):
-            self._due[key] = now + LOG_INTERVAL
-            if line.level == Level.ERROR and line.name in ('prediction', 'load'):
-                self._node.get_logger().error(shown(line.message, MAX_MESSAGE))
-            else:  # another line of code, as rclpy rejects a second severity from one
-                self._node.get_logger().warning(shown(line.message, MAX_MESSAGE))

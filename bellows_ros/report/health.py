@@ -183,13 +183,20 @@ def twist_status(name: str, report: InputReport, poses: int, unpaired: int) -> S
     return status._replace(finding=fact('unpaired', unpaired=unpaired, poses=poses))
 
 
-def vacuum_status(name: str, report: InputReport, held: bool, latched: bool) -> Status:
-    """Return the status of the vacuum signal; without a held package nothing is predicted."""
+def vacuum_status(
+    name: str, report: InputReport, held: bool, open_cups: tuple[int, ...], latched: bool
+) -> Status:
+    """
+    Return the status of the vacuum signal, with the cups without vacuum.
+
+    Without a held package nothing is predicted.
+    """
     state = 'held' if held else 'not held'
     status = input_status(
         name, report, Level.WARN if held else Level.ERROR, state.capitalize(),
         f'; the package counts as {state}', latched)
-    return status._replace(values=status.values | {'held': str(held).lower()})
+    return status._replace(values=status.values | {
+        'held': str(held).lower(), 'cups without vacuum': ', '.join(map(str, open_cups))})
 
 
 def prediction_finding(

@@ -5,12 +5,10 @@ from threading import Event, Thread
 import time
 
 from bellows_ros.nodes.conversions import vector
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from numpy.testing import assert_allclose
-from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
@@ -103,26 +101,6 @@ def test_all_outputs_agree(make_partner):
     assert got['deflection'][-1].header.frame_id == 'cup_lip_nominal'
     box = got['markers'][-1].markers[0]
     assert box.pose == pose and box.header.frame_id == 'world'
-
-
-def test_simulated_time_set_back_resets_the_prediction(make_partner, capfd):
-    """Notice that a recording begins again, by its clock."""
-    partner = make_partner({**PACKAGE, 'use_sim_time': True}, with_twists=False)
-    writer = partner.writes(Clock, '/clock')
-    partner.connect()
-    for second in (100, 101):
-        writer.publish(Clock(clock=Time(sec=second)))
-    partner.wait(lambda: partner.predictor.get_clock().now().nanoseconds == 101 * 10**9)
-    restarts = partner.predictor.pipeline.live.restarts
-    before = restarts['clock_jump']
-    for k in range(5):
-        partner.send_pose(101 * 10**9 + k * 2 * MS)
-    partner.wait_for_poses(5)
-    writer.publish(Clock(clock=Time(sec=50)))
-    partner.wait(lambda: restarts['clock_jump'] > before)
-    partner.predict(50 * 10**9)
-    partner.predictor.diagnostics.report()
-    assert 'the clock of the simulation was set' in capfd.readouterr().err
 
 
 def test_ok_is_true_only_while_the_package_is_held_within_limits(make_partner):

@@ -106,7 +106,7 @@ def test_counts_begin_again_with_the_observer(make_partner):
     def report(bad):
         for _ in range(bad):
             observing._on_measured(serialize_message(bad_pose))
-        return observing.status('measured package')
+        return observing.status()
 
     assert report(3).message.startswith('3 of 3 messages refused')
     set_on(predictor, 'measured.noise', [1e-3] * 2)
@@ -133,7 +133,7 @@ def test_wrenches_weigh_the_package(make_partner):
         writer.publish(message)
     partner.wait(lambda: bool(payloads))
     partner.wait(lambda: abs(payloads[-1].inertia.m - heavier) < 0.03 * heavier)
-    assert pipeline.observing.wrench_status('wrench').level <= Level.WARN
+    assert pipeline.observing.wrench_status().level <= Level.WARN
 
 
 def test_a_flood_of_a_sensor_leaves_time_for_the_tool(make_partner):

@@ -34,7 +34,7 @@ def of_twists(messages, unpaired, **changes):
 
 
 def of_vacuum(held, latched, **changes):
-    return health.vacuum_status('x', REPORT._replace(**changes), held, latched)
+    return health.vacuum_status('x', REPORT._replace(**changes), held, (), latched)
 
 
 def of_prediction(**changes):
@@ -68,7 +68,7 @@ NO_LINK = fact('publishers', topic='/topic', names='a, b')
     (of_vacuum(True, False, messages=0), Level.WARN, '3.0 s'),
     (of_vacuum(False, False, messages=0), Level.ERROR, '3.0 s'),
     (of_vacuum(False, True, messages=0, silent=math.inf), Level.ERROR, '/topic'),
-    (of_vacuum(False, True, messages=1, refused={'gauge': 1}), Level.ERROR, 'gauge'),
+    (of_vacuum(False, True, messages=1, refused={'not_absolute': 1}), Level.ERROR, 'absolute'),
     (of_vacuum(True, True, mismatch=NO_LINK), Level.WARN, 'several publishers'),
     (of_prediction(state='inactive'), Level.OK, 'Inactive'),
     (of_prediction(phase='coasting'), Level.WARN, 'Coasting'),

@@ -60,7 +60,7 @@ PROVEN_NS = 500_000_000
 """Duration of uninterrupted prediction before `is_ok` is true, ns."""
 
 RESTARTS = (
-    'gap', 'clock_set_back', 'clock_set_forward', 'clock_jump', 'frame_changed', 'moved',
+    'gap', 'clock_set_back', 'clock_set_forward', 'frame_changed', 'moved',
     'diverged', 'no_equilibrium', 'failure')
 """Reasons for a restart of the prediction from rest."""
 
@@ -246,7 +246,7 @@ class LivePredictor:
         """Return `is_ok` for a given time on the clock of arrivals."""
         observer, load, latest = self.package.observer, self.load, self.latest
         return (self.state in ON_CUP and self.alarm is None and not self.is_above
-                and load is not None and load.grip is not None and not self.vacuum.fault
+                and load is not None and load.grip is not None and not self.vacuum.is_wrong
                 and not observer.departs_from_file
                 and self.newest_ns >= max(self._unsafe_ns, self._trusted_ns)
                 and latest is not None and self._begun_ns is not None
@@ -437,7 +437,7 @@ class LivePredictor:
         opened = self.vacuum.open_cups
         readings = self.vacuum.update(self._given, pressure, frame_id)
         if isinstance(readings, str):
-            if self.vacuum.fault:
+            if self.vacuum.is_wrong:
                 self.on_vacuum(False)
             return readings
         for is_held, cup in readings:

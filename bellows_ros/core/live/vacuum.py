@@ -25,11 +25,8 @@ AMBIENT = 101_325.0
 LEAST_ABSOLUTE = 5000.0
 """Absolute pressure below which no ejector evacuates a cup, Pa."""
 
-AMBIENT_IN = (('in_bar', 0.8, 1.1), ('in_kpa', 80.0, 110.0), ('in_mbar', 800.0, 1100.0))
-"""Units other than Pa, with the range of the ambient pressure in each unit."""
-
 GLITCHES = 3
-"""Number of consecutive impossible pressures after possible ones that indicate another unit."""
+"""Number of consecutive impossible pressures after possible ones that are no glitch."""
 
 SMALLEST_TAG = 1e-3
 """Smallest side of a detected tag, m: ten pixels of a camera 10 mm away."""
@@ -194,14 +191,13 @@ class Vacuum:
         Newest pressures of the single cups that hold, Pa.
     open_cups : tuple of int
         Cups of cup.layout without vacuum; unchanged if no cup has vacuum.
-    fault : str
-        Reason why the pressures are no absolute pressures in Pa, or ''. The reason is reset by a
-        pressure of an open cup.
+    is_wrong : bool
+        Whether the pressures are no absolute pressures in Pa, until a pressure of an open cup.
 
     """
 
     def __init__(self) -> None:
-        self.held, self.fault = False, ''
+        self.held = self.is_wrong = False
         self._impossible = GLITCHES - 1  # one is enough before a possible pressure
         self.open_cups: tuple[int, ...] = ()
         self.pressure: float | None = None
@@ -242,22 +238,20 @@ class Vacuum:
         return (is_held, cup), (True, ALL)
 
     def _why_rejected(self, values: Values, pressure: float) -> str:
-        """Return the reason for the rejection of a pressure, or ''; store a wrong unit."""
+        """Return the reason for the rejection of a pressure, or ''."""
         if not math.isfinite(pressure):
             return 'nan'
-        if pressure >= LEAST_ABSOLUTE:
-            if pressure > values.vacuum.thresholds[1]:
-                self.fault = ''
-            self._impossible = self._impossible if self.fault else 0
-            return self.fault
-        reason = 'gauge' if pressure < 0.0 else next(
-            (unit for unit, low, high in AMBIENT_IN if low <= pressure <= high), 'not_absolute')
-        self._impossible += 1
-        if self._impossible >= GLITCHES:
-            self.fault = self.fault if reason == 'not_absolute' and self.fault else reason
-            self.held, self.pressure = False, None
-            self.of_cups.clear()
-        return self.fault or reason
+        if pressure < LEAST_ABSOLUTE:
+            self._impossible += 1
+            if self._impossible >= GLITCHES:
+                self.held, self.pressure, self.is_wrong = False, None, True
+                self.of_cups.clear()
+            return 'not_absolute'
+        self.is_wrong = self.is_wrong and pressure <= values.vacuum.thresholds[1]
+        if self.is_wrong:
+            return 'not_absolute'
+        self._impossible = 0
+        return ''
 
 
 def check_live(values: Values) -> None:
