@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 import math
 import textwrap
@@ -249,11 +248,9 @@ def _print_budget(result: TossResult, out: Any) -> None:
 
 
 def print_simulation(report: SimulationReport, out: Any) -> None:
-    """Print the numbers of messages and of faults."""
-    kinds = Counter((event.topic, event.kind) for event in report.events)
-    out.table([('topic', 'messages', 'outliers', 'dropouts'), *(
-        (topic, f'{count}', f'{kinds[topic, "outlier"]}', f'{kinds[topic, "dropout"]}')
-        for topic, count in report.messages.items())], right=True,
+    """Print the numbers of messages, the largest bending, and the margin of the grip."""
+    out.table([('topic', 'messages'), *(
+        (topic, f'{count}') for topic, count in report.messages.items())], right=True,
         title=f'Recorded {report.duration_s:g} s to {report.bag}')
     out.line(f'The cup bends by up to {math.degrees(report.largest_bending_rad):.1f} degrees, '
              f'at {report.largest_bending_time_s:.2f} s.')

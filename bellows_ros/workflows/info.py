@@ -173,8 +173,6 @@ class Info(NamedTuple):
     topics : tuple of TopicInfo
         Topics by name.
     tool, package, twist : Guess or None
-    rest_s : float or None
-        Duration of the initial rest of both bodies, s.
     settings : mapping
         Parameters for reading the recording, by name.
     findings : tuple of Finding
@@ -187,7 +185,6 @@ class Info(NamedTuple):
     tool: Guess | None
     package: Guess | None
     twist: Guess | None
-    rest_s: float | None
     settings: Mapping[str, Any]
     findings: tuple[Finding, ...]
 
@@ -305,26 +302,24 @@ def _with_roles(
     findings = [Finding('left_out', Level.WARN, {
         'part': topic.name, 'reason': topic.problem}) for topic in described if topic.problem]
     findings += [remark for topic in described if topic.name in used for remark in topic.remarks]
-    rest_s = None
     streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
     if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
-        rest_s, findings = _both_bodies(pair, streams, settings, findings)
+        findings = _both_bodies(pair, streams, settings, findings)
     else:
         findings.append(Finding('needs_both_poses'))
     if in_degrees and twist:
         findings.insert(0, Finding('twists', Level.WARN, {'cause': IN_DEGREES}, twist.topic))
-    return Info(str(Path(path)), described, tool, package, twist, rest_s, settings,
-                tuple(findings))
+    return Info(str(Path(path)), described, tool, package, twist, settings, tuple(findings))
 
 
 def _both_bodies(
     pair: Pair | None, streams: Sequence[PoseStream], settings: dict[str, Any],
     findings: list[Finding]
-) -> tuple[float | None, list[Finding]]:
-    """Add settings on both poses; return the initial rest (s), and findings."""
-    rest_s, (tool, package) = None, streams
+) -> list[Finding]:
+    """Add settings on both poses; return the findings."""
+    tool, package = streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
     remarked = pose_remarks(RecordedPoses(tool, package, R))
     found = [remark for remark in remarked if remark.code != 'tool_z']  # has a setting
@@ -341,18 +336,18 @@ def _both_bodies(
     elif pair:
         settings['recording.world'] = pair.world
     if pair:
-        rest_s, at_rest, of_rest = _initial_rest(pair, tool, package, bool(separate))
+        at_rest, of_rest = _initial_rest(pair, tool, package, bool(separate))
         settings |= at_rest
         more += of_rest
     if not (separate or any(each.level == Level.ERROR for each in remarked)):
         found += _prepared_remarks(tool, package, settings)
     if wrong := [each for each in found if each.level == Level.ERROR]:  # others are doubtful then
-        return rest_s, [*wrong]
+        return [*wrong]
     is_aligned = settings.get('recording.align_at_rest')
     outward = [remark for remark in remarked if remark.code == 'tool_z' and (
         not is_aligned or remark.numbers['angle'] > FLANGE_ANGLE)]
     settings |= {'tool_pose.offset': FLANGE_OUTWARD} if outward else {}
-    return rest_s, [*outward, *findings, *found, *more]
+    return [*outward, *findings, *found, *more]
 
 
 def _prepared_remarks(
@@ -391,9 +386,9 @@ def _why_separate(
 
 def _initial_rest(
     pair: Pair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
-) -> tuple[float, dict[str, Any], list[Finding]]:
+) -> tuple[dict[str, Any], list[Finding]]:
     """
-    Return the duration of the initial standstill, its settings, and findings.
+    Return the settings of the initial standstill, and findings.
 
     Distance and relative rotation of bodies in two worlds are not evaluated.
     """
@@ -411,7 +406,7 @@ def _initial_rest(
     # 90 % of the standstill, to 0.1 s
     duration = max(0.1, float(np.floor(10.0 * 0.9 * rest.seconds) / 10.0))
     settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
-    return rest.seconds, settings, [*findings, *(() if separate else rest.remarks)]
+    return settings, [*findings, *(() if separate else rest.remarks)]
 
 
 def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:

@@ -245,24 +245,16 @@ def _prepared(
     found = tuple(remark for remark in found if remark.code != accepted)
     require_none([remark for remark in found if remark.code != 'tool_at_rest'],  # keeps its stamps
                  'fit' if registers else 'replay')
-    recording = _joined(tool, package, twist, settings, values, registers)
+    if registers:
+        recording = registered_recording(tool, package, twist, settings, values)
+    else:
+        if world:
+            pose = frames.pose_of(world)
+            package = frames.in_tool_world(package, pose, tool.frame_id)
+            settings = settings.in_world(pose)
+        recording = prepare(tool, package, settings, twist, marker_alignment(values))
     return replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found)))
-
-
-def _joined(
-    tool: PoseStream, package: PoseStream, twist: TwistStream | None,
-    settings: PrepareSettings, values: Values, registers: bool,
-) -> Recording:
-    """Return prepared streams, in one world and on one clock."""
-    world = values.recording.package_world
-    if registers:
-        return registered_recording(tool, package, twist, settings, values)
-    if world:
-        pose = frames.pose_of(world)
-        package = frames.in_tool_world(package, pose, tool.frame_id)
-        settings = settings.in_world(pose)
-    return prepare(tool, package, settings, twist, marker_alignment(values))
 
 
 def is_measured(values: Values) -> bool:

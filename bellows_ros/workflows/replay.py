@@ -70,8 +70,6 @@ class Live(residuals.Comparison):
         Numbers of incoming messages, predictions, omitted messages and restarts.
     real_time_factor : float
         Duration of the recording per processing time of the predictor.
-    took : float
-        Wall time of the prediction, s.
     corners : CornerScores or None
         Errors in the corners of a tag; None for a body.
 
@@ -79,15 +77,13 @@ class Live(residuals.Comparison):
 
     counts: Mapping[str, int]
     real_time_factor: float
-    took: float
     corners: CornerScores | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
         return {
             **vars(self.scores), 'nrmse': self.scores.nrmse, 'counts': dict(self.counts),
-            'real_time_factor': self.real_time_factor, 'took': self.took,
-            'corners': self.corners}
+            'real_time_factor': self.real_time_factor, 'corners': self.corners}
 
 
 class Observed(NamedTuple):
@@ -330,7 +326,7 @@ def _predicted_live(
     compared = _compared(predicted, *compared_poses(recording))
     return Live(
         **vars(compared), counts=_counts(live, recording),
-        real_time_factor=recorded / took, took=took,
+        real_time_factor=recorded / took,
         corners=corner_scores(recording, predicted))
 
 

@@ -39,14 +39,6 @@ MAX_SAMPLES = 5_000_000
 """Largest number of samples of a simulation."""
 
 
-class Event(NamedTuple):
-    """A simulated outlier or dropout: topic, kind and begin, s."""
-
-    topic: str
-    kind: str
-    start_s: float
-
-
 class SimulationReport(NamedTuple):
     """
     Summary of a simulated recording.
@@ -60,8 +52,6 @@ class SimulationReport(NamedTuple):
     duration_s : float
     messages : mapping of topic to int
         Number of messages on each topic.
-    events : tuple of Event
-        Outliers and dropouts, by topic and time.
     largest_bending_rad : float
         Largest angle between the z axes of tool and lip, rad.
     largest_bending_time_s : float
@@ -77,7 +67,6 @@ class SimulationReport(NamedTuple):
     truth: Path | None
     duration_s: float
     messages: Mapping[str, int]
-    events: tuple[Event, ...]
     largest_bending_rad: float
     largest_bending_time_s: float
     warnings: tuple[str, ...]
@@ -147,19 +136,9 @@ def simulate_recording(
     worst, angle = int(np.argmax(angles)), float(angles.max())
     return SimulationReport(
         bag, truth_file, recipe.motion.duration,
-        {messages.topic: len(messages.stamps_ns) for messages in recorded}, _events(recipe, plans),
-        angle, float(truth.tool.seconds[worst]), warnings(filter(None, [flip_finding(angle)])),
+        {messages.topic: len(messages.stamps_ns) for messages in recorded}, angle,
+        float(truth.tool.seconds[worst]), warnings(filter(None, [flip_finding(angle)])),
         smallest_margin(values, model, *truth, truth.tool.seconds))
-
-
-def _events(recipe: Recipe, plans: Mapping[str, sensing.Schedule]) -> tuple[Event, ...]:
-    """Return outliers and dropouts by topic and time."""
-    events = [
-        Event(recipe.topics[f'{name}_pose'], kind, (int(ns) - recipe.start_ns) / NS_PER_S)
-        for name, schedule in plans.items()
-        for kind, starts in (('outlier', schedule.jumps), ('dropout', schedule.dropouts))
-        for ns in schedule.sampled_ns[list(starts)]]
-    return tuple(sorted(events, key=lambda event: (event.topic, event.start_s)))
 
 
 class Truth(NamedTuple):
