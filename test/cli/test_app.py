@@ -107,31 +107,6 @@ def test_a_value_is_shown_as_far_as_it_is_known(value, error, shown):
     assert column([0.0851, 1.234, 12.5]) == ['0.1', '1.2', '12.5']
 
 
-@pytest.mark.parametrize(('no_colour', 'coloured'), [('', True), ('1', False)])
-def test_colour_on_a_terminal_honours_no_color(no_colour, coloured, user_environment):
-    pytest.importorskip('pty', reason='no pseudo-terminals here')
-    code = f"""
-import os, pty, sys
-os.environ.update(TERM='xterm', NO_COLOR={no_colour!r})
-pty.spawn([sys.executable, '-m', 'bellows_ros.cli', 'info', 'none'])
-"""
-    done = subprocess.run([sys.executable, '-c', code], env=user_environment, capture_output=True,
-                          stdin=subprocess.DEVNULL)
-    assert b'none' in done.stdout
-    assert bool(re.search(rb'\x1b\[3\dm', done.stdout)) == coloured
-
-
-def test_a_table_is_whole_in_a_pipe_and_fits_a_terminal(monkeypatch, capsys):
-    rows = [['axis', *(f'column {k}' for k in range(8))], ['x', *('1234.5' for _ in range(8))]]
-    for width in (None, 60):
-        console = Console()
-        if width:
-            console.console = type(console.console)(width=width, force_terminal=True)
-        console.table(rows, title='A table')
-        lines = capsys.readouterr().out.splitlines()
-        assert (len(lines), max(map(len, lines)) > 60) == ((3, True) if not width else (5, False))
-
-
 def test_an_unusual_stream_is_no_error(user_environment, quietly):
     """End quietly if the reader has had enough, as `head` has; do without special characters."""
     command = f'{sys.executable} -m bellows_ros.cli parameters --yaml | head -n 1'

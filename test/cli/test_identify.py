@@ -38,17 +38,6 @@ def test_parameters_from_several_places(succeed, workshop, tmp_path):
 QUICK = ('--set', 'fit.method=least_squares')
 
 
-def test_identify_on_two_cores_leaves_out_what_is_bad(succeed, root, tmp_path):
-    """Say so, and show on the page what was read."""
-    cup, fit, page = tmp_path / 'cup.yaml', tmp_path / 'fit.json', tmp_path / 'page.html'
-    done = succeed(
-        'identify', 'bags/identification', 'bags/none', '--params', 'bags/package.yaml', *QUICK,
-        '--jobs', 2, '--out', cup, '--json', fit, '--report', page, cwd=root)
-    assert "'bags/none'" in done.stderr
-    assert json.loads(fit.read_text())['failed'][0]['bag'] == 'bags/none'
-    assert cup.exists() and '<svg' in page.read_text()
-
-
 def test_a_page_without_matplotlib_is_refused_before_any_work(bellows, root, monkeypatch):
     """Say how to install it, before the recording is found to be missing."""
     find = importlib.util.find_spec

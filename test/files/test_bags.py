@@ -131,16 +131,6 @@ def test_messages_that_cannot_be_used_are_counted_by_reason(tmp_path, reason):
     assert stream.frame_id == 'world'
 
 
-def test_messages_come_in_the_order_they_were_received_in(tmp_path):
-    messages = made.poses(6)
-    logged = [(messages[i][0], messages[j][1]) for i, j in enumerate([0, 2, 1, 3, 5, 4])]
-    for plugin in made.PLUGINS:
-        path = one_topic(tmp_path / plugin, logged[::-1], storage=plugin)
-        stream = read_streams(path, {'p': 'a'})['p']
-        assert stream.refused == {'backward_stamp': (2, 5)}
-        assert_array_equal(stream.stamps_ns, made.stamps(6)[[0, 2, 3, 5]])
-
-
 @pytest.mark.parametrize('storage', made.PLUGINS)
 def test_an_empty_recording_is_refused(tmp_path, storage):
     folder = one_topic(tmp_path / 'b', [], storage=storage)

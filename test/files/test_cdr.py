@@ -63,17 +63,6 @@ def test_encoding_is_that_of_rosbags(kind):
                 covariance=np.zeros(36))
 
 
-def test_messages_that_differ_in_all_but_their_type_are_decoded_together():
-    values = made.pose_values(6)
-    frames = ['world', 'a', 'world', 'frame', 'world', 'frame']
-    data = [made.encoded(made.POSE, t, pose=v, frame_id=f, little_endian=i % 2 == 0)
-            for i, (t, v, f) in enumerate(zip(made.stamps(6), values, frames, strict=True))]
-    decoded, found = decode(data, made.POSE, slice(0, 7))
-    assert_array_equal(decoded['values'], values)
-    assert_array_equal(decoded['stamp'], made.stamps(6))
-    assert [found[i] for i in decoded['frame']] == [(f,) for f in frames]
-
-
 @pytest.mark.parametrize('kind', KINDS)
 def test_a_message_cut_short_anywhere_is_not_decoded(kind):
     data = made.encoded(kind, made.EPOCH_NS, pose=made.pose_values(1)[0], twist=[1.0] * 6)

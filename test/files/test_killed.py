@@ -1,50 +1,53 @@
 """A process that is killed at any moment leaves whole outputs, or none."""
 
 from contextlib import contextmanager
-import json
 from pathlib import Path
 import resource
 import signal
 import subprocess
 import sys
+import time
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.files.atomic import PREFIX
 import pytest
 
 from . import killed_writers
-from .killed_writers import content, whole, WRITERS
+from .killed_writers import WRITERS
 
-ROOT = Path(__file__).parents[2]
 KILLS = 6  # of each kind
 
-pytestmark = pytest.mark.timeout(400)
+
+def content(path):
+    """Return all files of an output by name, or None where there is none."""
+    if path.is_dir():
+        return {file.name: file.read_bytes() for file in path.iterdir()}
+    return {path.name: path.read_bytes()} if path.exists() else None
 
 
-@pytest.fixture(scope='module')
-def killed(tmp_path_factory):
-    """Kill writers of every kind, and provide what they left."""
-    folder = str(tmp_path_factory.mktemp('k'))
-    done = subprocess.run(
-        [sys.executable, '-m', killed_writers.__name__, folder, str(KILLS)],
-        cwd=ROOT, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+def both(folder, name):
+    """Return both contents of an output."""
+    found = []
+    for number in (0, 1):
+        WRITERS[name](folder / name, number)
+        found.append(content(folder / name))
+    return found
 
 
-def test_killed_runs_leave_no_partial_file(killed):
-    careful = {name: found for name, found in killed.items() if name != 'careless'}
-    for name, found in careful.items():
-        whole = found.get('old', 0) + found.get('new', 0)
-        assert whole + found.get('nothing', 0) == KILLS, (name, found)
-        assert found['in the way'] == 0
-    # The kills have come before, during and after the writing.
-    total = {key: sum(found.get(key, 0) for found in careful.values())
-             for key in ('old', 'new', 'nothing', 'hidden')}
-    assert all(count >= 3 for count in total.values()), total
-
-
-def test_the_kill_test_detects_a_non_atomic_write(killed):
-    assert killed['careless'].get('torn', 0) >= 1, killed['careless']
+@pytest.mark.parametrize('name', WRITERS)
+def test_a_killed_writer_leaves_no_partial_file(name, tmp_path):
+    """And one that writes carelessly does, so that partial files are found."""
+    whole, torn = [*both(tmp_path, name), None], 0
+    for k in range(KILLS):
+        with subprocess.Popen([sys.executable, '-m', killed_writers.__name__, name, str(
+                tmp_path / name)], cwd=Path(__file__).parents[2], stdout=-1) as process:
+            assert process.stdout.read(1) == b'.'
+            time.sleep(1e-3 * k)  # the moment is the point, nothing is awaited
+            process.kill()
+        torn += content(tmp_path / name) not in whole
+        assert all(each.name == name or each.name.startswith(PREFIX)
+                   for each in tmp_path.iterdir())
+    assert (torn > 0) == (name == 'careless')
 
 
 @contextmanager
@@ -63,7 +66,7 @@ def room_for(size):
 @pytest.mark.parametrize('is_replaced', [False, True])
 @pytest.mark.parametrize('name', [name for name in WRITERS if name != 'careless'])
 def test_a_full_disk_leaves_the_old_output_or_none(name, is_replaced, tmp_path):
-    contents, _ = whole(tmp_path, name)
+    contents = both(tmp_path, name)
     for size in (0, 100, max(map(len, contents[1].values())) - 1):
         place = tmp_path / f'{size}'
         place.mkdir()

@@ -2,7 +2,6 @@
 
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import cup_of
-from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.safe_yaml import load
 from bellows_ros.workflows.identification import save
@@ -48,10 +47,3 @@ def test_the_cup_file_holds_one_cup_and_the_layout(gripper, tmp_path):
                     rtol=0.03)
     found = replay(known['bags'][0], {**known, **written}).validation.scores
     assert np.all(found.rms < 1.5 * np.repeat([2e-5, 1e-4], 3))
-
-
-def test_a_layout_and_another_structure_are_refused_with_a_remedy(gripper):
-    with pytest.raises(BellowsError, match='fit.structure: layout'):
-        identify({**gripper[1], 'fit.structure': 'diagonal'})
-    with pytest.raises(BellowsError, match=r'cup\.layout: \['):
-        identify({**gripper[1], 'cup.layout': (0.0, 0.0, 0.0)})
