@@ -19,8 +19,6 @@ from bellows_ros.core.live.predictor import LivePredictor
 from bellows_ros.core.live.vacuum import Load
 from bellows_ros.core.model.grip import safety_finding
 from bellows_ros.core.model.validity_range import FLAT_MOMENT_BENDING
-from bellows_ros.core.signals.screening import LONGEST_GAP_NS
-from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.files import messages
 from bellows_ros.report import findings
 import numpy as np
@@ -31,9 +29,8 @@ WINDOW_LENGTH = 2048
 MAX_AGE = 1.0
 """Largest absolute age of a message on the node's clock, s; larger ages mean another clock."""
 
-REASONS: Mapping[str, str] = {**messages.REASONS, **{
-    code: text.format(gap=LONGEST_GAP_NS / NS_PER_S) for code, text in tomllib.loads(
-        Path(__file__).with_name('reasons.toml').read_text(encoding='utf-8')).items()}}
+REASONS: Mapping[str, str] = {**messages.REASONS, **tomllib.loads(
+    Path(__file__).with_name('reasons.toml').read_text(encoding='utf-8'))}
 """Reasons for rejecting a message or for a restart, in words."""
 
 
