@@ -424,6 +424,6 @@ class PackageInput:
             return status._replace(finding=alarm.finding)
         if not (observer.sensor.has_own_world or same_frame(self._frame, live.frame_id)):
             return status._replace(finding=health.fact(
-                'measured_frame', topic=self._measured_in.topic, frame=shown(self._frame),
-                tool=shown(live.frame_id)))
+                'package_world', why=f": {self._measured_in.topic} is in '{shown(self._frame)}', "
+                f"the tool in '{shown(live.frame_id)}', so its poses are not used"))
         return status if live.attached else status.at_level(min(status.level, Level.WARN))

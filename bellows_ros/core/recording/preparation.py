@@ -238,10 +238,9 @@ def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[
     """Return remarks on the lateral offsets of the lip and of the centre of mass."""
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
-    return [Finding(code, Level.WARN, {'aside': size}) for code, size, is_due in (
-        ('aside', aside, aside > MAX_LATERAL_OFFSET),
-        ('com_aside', lateral_com, settings.align_at_rest and lateral_com > MAX_LATERAL_COM))
-        if is_due]
+    return [Finding('aside', Level.WARN, {'part': part, 'aside': size}) for part, size, is_due in (
+        ('lip', aside, aside > MAX_LATERAL_OFFSET), ('centre of mass', lateral_com,
+         settings.align_at_rest and lateral_com > MAX_LATERAL_COM)) if is_due]
 
 
 def remarks_on(report: StreamReport) -> list[Finding]:
@@ -262,9 +261,9 @@ def remarks_on(report: StreamReport) -> list[Finding]:
         return [Finding('jitter', Level.ERROR, jitter, topic), *remarks]
     return remarks + [Finding(code, Level.WARN, numbers, topic) for is_due, code, numbers in (
         (time.rate_hz < LOW_RATE_HZ, 'low_rate', {'rate': time.rate_hz, 'least': LOW_RATE_HZ}),
-        (report.repeated_stamps > MAX_REPEATED * len(recorded), 'quantised', {
-            'tick': 1.0 / time.rate_hz, 'repeated': report.repeated_stamps,
-            'poses': len(recorded) + report.repeated_stamps}),
+        (report.repeated_stamps > MAX_REPEATED * len(recorded), 'jitter', {
+            'jitter': 1.0 / time.rate_hz, 'rate': time.rate_hz,
+            'instead': f'; {report.repeated_stamps} poses repeat a stamp and are left out'}),
         (time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER, 'jitter', jitter))
         if is_due]
 

@@ -176,7 +176,8 @@ def test_steps_jitter_and_a_centre_of_mass_aside_are_warned_about():
     found = prepare(stream(step), stream(aside, '/package'), settings)
     jump, aside = found.report.remarks
     assert (jump.code, jump.topic) == ('slip', '/tool')
-    assert (aside.code, aside.numbers) == ('com_aside', {'aside': pytest.approx(0.01)})
+    assert (aside.code, aside.numbers) == ('aside', {
+        'part': 'centre of mass', 'aside': pytest.approx(0.01)})
     late = tool.stamps_ns + rng.integers(0, 1_000_000, len(tool))
     jittered = Trajectory(late, tool.position, tool.rotation)
     (jitters,) = prepare(stream(jittered), stream(package, '/package'), PLAIN).report.remarks
@@ -233,7 +234,7 @@ def test_stamps_of_a_slow_clock_are_counted():
     lost = tuple(sorted({*range(len(tool))} - {*kept.tolist()}))
     slow = replace(stream(tool, '/tool', kept), refused={'duplicate_stamp': lost})
     said = prepare(slow, stream(package, '/package'), PLAIN).report.remarks
-    assert said[0].code == 'quantised' and said[0].numbers['repeated'] == len(lost)
+    assert said[0].code == 'jitter' and f' {len(lost)} poses repeat' in said[0].numbers['instead']
 
 
 def test_unusable_recordings_get_a_reason():
