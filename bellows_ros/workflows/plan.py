@@ -5,7 +5,7 @@ A plan is read as a `Source`. A `PlanReport` has the `Motion` that answers a req
 as it is, each with its effect on the package.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -416,13 +416,12 @@ def plan(
     bounds = limits_in(limits, source)
     planned = _effect(source)
     if not seek_fastest:
-        used = _used(source, bounds, planned) if limits else {}
-        return PlanReport(source, {AS_PLANNED: planned}, used)
+        return _report(source, limits and bounds, {AS_PLANNED: planned})
     scale, tool, notes = _fastest(source)
     fast = _effect(replace(source, tool=tool))
     fast = replace(fast, std={**fast.std, 'duration': scale.scale_std * source.duration})
-    return PlanReport(source, {'fastest': fast, AS_PLANNED: planned}, _used(
-        source, bounds, fast) if limits else {}, notes, scale)
+    return _report(
+        source, limits and bounds, {'fastest': fast, AS_PLANNED: planned}, notes, scale)
 
 
 def steer_plan(
@@ -460,8 +459,8 @@ def steer_plan(
         if bounds.safety_factor > 0.0:
             factor = PlanSimulation(
                 source.model, source.grip, tool, tail=steering.TAIL).safety(1.0)
-        parts = _used_parts(source, bounds, tool, factor)
-        name, part = next((each for each in parts if each[1] > 1.0), ('', 0.0))
+        parts = _used(source, bounds, tool, factor)
+        name, part = next((each for each in parts.items() if each[1] > 1.0), ('', 0.0))
         if name == 'workspace':
             raise BellowsError(
                 f'The motion leaves the workspace at any speed: it uses {part:.0%} of the half '
@@ -472,10 +471,20 @@ def steer_plan(
     steered = steered_at(scale)
     motions = {'unchanged' if steered.method == 'none' else steered.method: _effect(
         replace(source, tool=steered.tool))}
-    used = _used(source, bounds, *motions.values()) if limits else {}
     with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
         motions[AS_PLANNED] = _effect(source)
-    return PlanReport(source, motions, used, _slowed(scale, limit), steered=steered)
+    return _report(
+        source, limits and bounds, motions, _slowed(scale, limit), steered=steered)
+
+
+def _report(
+    source: Source, limits: Any, motions: Mapping[str, Motion], *more: Any, **named: Any
+) -> PlanReport:
+    """Return the report on motions, with the used parts of limits, if any, by the first motion."""
+    first = next(iter(motions.values()))
+    used = _used(source, limits, first.source.tool, first.prediction.smallest_safety[0]) if (
+        limits) else {}
+    return PlanReport(source, motions, used, *more, **named)
 
 
 def _slowed(scale: float, limit: str) -> tuple[Finding, ...]:
@@ -535,20 +544,13 @@ def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
     return bounds
 
 
-def _used(source: Source, limits: Limits, motion: Motion) -> dict[str, float]:
-    """Return the used part of each limit by a motion along a plan."""
-    return dict(_used_parts(
-        source, limits, motion.source.tool, motion.prediction.smallest_safety[0]))
-
-
-def _used_parts(
-    source: Source, limits: Limits, tool: Trajectory, factor: float
-) -> Iterator[tuple[str, float]]:
-    """Yield the used part of each limit by a motion with a smallest safety factor."""
-    yield from used_parts(limits, tool, factor).items()
+def _used(source: Source, limits: Limits, tool: Trajectory, factor: float) -> dict[str, float]:
+    """Return the used part of each limit by a motion with a smallest safety factor."""
+    parts = used_parts(limits, tool, factor)
     if joints := source.joints:
-        yield from joint_parts(
-            joints.arm, joints.along(tool, source.tool), limits.joint_acceleration).items()
+        parts |= joint_parts(
+            joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)
+    return parts
 
 
 def outside_finding(ranges: Sequence[str]) -> Finding | None:

@@ -25,7 +25,6 @@ from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.sensors import body
 from bellows_ros.core.signals.residuals import AXES
-from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import UnstableError
 from bellows_ros.report.findings import entry, sets, text
 import numpy as np
@@ -70,8 +69,6 @@ class Simulated(NamedTuple):
     rms: Array
     noise: Array
     motion: Array
-    beginning: float = 0.0
-    """Duration of the simulated beginning of a long recording, s; 0 for a whole recording."""
     held_out: Array | None = None
     """RMS errors in the last fifth with the cup of the other four, if known."""
     axes: tuple[str, ...] = AXES
@@ -91,8 +88,8 @@ class Simulated(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return the content for a JSON file."""
         units = POSE_UNITS if len(self.axes) > 1 else ('rad',)
-        return {**self._asdict(), 'units': {
-            **dict.fromkeys(('rms', 'noise', 'motion', 'held_out'), units), 'beginning': 's'}}
+        return {**self._asdict(), 'units': dict.fromkeys(
+            ('rms', 'noise', 'motion', 'held_out'), units)}
 
 
 class FitVerdict(NamedTuple):
@@ -319,19 +316,16 @@ def _simulated(
     except UnstableError:
         unknown = np.full(6, np.nan)
         return Simulated(recording.name, unknown, unknown, unknown)
-    seconds = float(np.ptp(result.stamps_ns)) / NS_PER_S
-    beginning = seconds if len(recording.valid) > MAX_SIMULATED else 0.0
     held_out = _held_out(held, recording) if held else None
     if corners := result.corners:
         rms, noise, motion = map(np.atleast_1d, (corners.rms, corners.noise, corners.motion))
-        return Simulated(recording.name, rms, noise, motion, beginning, held_out,
-                         axes=('corners',))
+        return Simulated(recording.name, rms, noise, motion, held_out, ('corners',))
     noise = result.noise
     if noise_in_motion is not None:
         noise = np.sqrt(noise**2 + np.maximum(
             noise_in_motion**2 - recording.body_noise[1].std**2, 0.0))
-    return Simulated(recording.name, result.scores.rms, noise, result.scores.motion, beginning,
-                     held_out)
+    return Simulated(
+        recording.name, result.scores.rms, noise, result.scores.motion, held_out)
 
 
 def _held_out(cup: Cup, recording: Recording) -> Array:

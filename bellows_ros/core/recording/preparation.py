@@ -239,7 +239,8 @@ def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[
     aside = float(np.linalg.norm(alignment.lateral_offset))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
     return [Finding('aside', Level.WARN, {'part': part, 'aside': size}) for part, size, is_due in (
-        ('lip', aside, aside > MAX_LATERAL_OFFSET), ('centre of mass', lateral_com,
+        ('lip', aside, aside > MAX_LATERAL_OFFSET),
+        ('centre of mass', lateral_com,
          settings.align_at_rest and lateral_com > MAX_LATERAL_COM)) if is_due]
 
 
