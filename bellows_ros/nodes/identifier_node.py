@@ -19,7 +19,7 @@ POLL_PERIOD = 0.05
 PREDICTOR_TIMEOUT = 10.0
 """Longest wait for the predictor, s."""
 
-CUP_PREFIXES = ('cup.', 'envelope.')
+CUP_PREFIXES = ('cup.',)
 RESULT_NAMES = [
     p.name for p in table.parameters_for('identifier') if p.name.startswith(CUP_PREFIXES)]
 """Parameters that are declared after the fit."""

@@ -203,11 +203,10 @@ class Planning:
             raise BellowsError(
                 f'It takes {plan.seconds[-1]:.4g} s; expected at most {MAX_STEERED_DURATION:g}. '
                 'Split the motion, or use bellows plan --steer.')
-        method = self._pipeline.live.values.steer.method
-        found = steer(self._pipeline.live.model, plan, method)
-        if found.method != method:
+        found = steer(self._pipeline.live.model, plan, 'zvd')
+        if found.method != 'zvd':
             self._pipeline.node.get_logger().warning(
-                f'A motion is steered by {found.method} instead of {method}, and leaves a swing '
+                f'A motion is steered by {found.method} instead of zvd, and leaves a swing '
                 f'of {math.degrees(found.residual):.2g} degrees.', throttle_duration_sec=1.0)
         return found.tool
 

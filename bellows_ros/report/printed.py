@@ -178,7 +178,7 @@ def print_plan(report: PlanReport, out: Any) -> None:
     out.warn(*report.warnings)
     if not (report.warnings or out.asked):
         out.line('The grip holds' + (
-            ', within the validity range.' if any(source.values.envelope.rates) else
+            ', within the validity range.' if any(source.values.cup.valid_high[:12]) else
             '. The validity range of the cup is unknown.'), 'green')
 
 

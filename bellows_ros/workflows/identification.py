@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 import math
 from typing import Any, TYPE_CHECKING
@@ -104,9 +104,8 @@ class Identification(CommandResult):
     @cached_property
     def envelope(self) -> validity_range.Envelope:
         """The validity range of the fit."""
-        moving = replace(
-            validity_range.joined_envelopes([part.envelope for part in self.parts]),
-            vacuum=[self.values.vacuum.holding] * 2)
+        moving = validity_range.joined_envelopes(
+            [part.envelope for part in self.parts], self.values.vacuum.holding)
         if self.static is None:
             return moving
         return with_standstills(moving, self.static.standstills, self.cup_length)

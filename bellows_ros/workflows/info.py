@@ -357,7 +357,7 @@ def _prepared_remarks(
     try:
         prepared = preparation.prepare(tool, package, recording.PrepareSettings(**{
             name.removeprefix('recording.'): settings[name] for name in settings if name in (
-                'recording.world', 'recording.align_at_rest', 'recording.rest_duration')}))
+                'recording.world', 'recording.align_at_rest')}))
     except BellowsError:
         return ()
     return recording_remarks(prepared)
@@ -403,10 +403,8 @@ def _initial_rest(
     findings: list[Finding] = [Finding(code, Level.WARN, numbers) for code, applies in (
         ('start_distance', not separate), ('short_rest', rest.seconds < alignment.MIN_REST))
         if applies]
-    # 90 % of the standstill, to 0.1 s
-    duration = max(0.1, float(np.floor(10.0 * 0.9 * rest.seconds) / 10.0))
-    settings = {'recording.align_at_rest': aligned, 'recording.rest_duration': duration}
-    return settings, [*findings, *(() if separate else rest.remarks)]
+    return {'recording.align_at_rest': aligned}, [
+        *findings, *(() if separate else rest.remarks)]
 
 
 def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:

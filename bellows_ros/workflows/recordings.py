@@ -45,9 +45,6 @@ FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 MIN_POSES = 20
 """Smallest number of poses of each body for a search for their faults."""
 
-FILES_OF = {'bags': 'package.files', 'static.bags': 'static.files'}
-"""Parameters that name the parameter files of recordings."""
-
 
 class Failed(NamedTuple):
     """An unusable recording, and the reason."""
@@ -352,9 +349,9 @@ def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str
         names.setdefault(digest, name)
 
 
-def values_of_each(values: Values, bags_in: str = 'bags') -> list[Values]:
+def values_of_each(values: Values, at_rest: bool = False) -> list[Values]:
     """
-    Return the parameters for each recording in a parameter of `FILES_OF`, with its package.
+    Return the parameters for each recording in bags, or in static.bags, with its package.
 
     Raises
     ------
@@ -362,25 +359,27 @@ def values_of_each(values: Values, bags_in: str = 'bags') -> list[Values]:
         If the numbers of files and recordings differ, or a parameter is missing for a recording.
 
     """
-    files, bags = values[FILES_OF[bags_in]], values[bags_in]
+    files, count = values.package.files, len(values.bags)
+    bags = (*values.bags, *values.static.bags)
     if files and len(files) != len(bags):
         raise BellowsError(
-            f'{FILES_OF[bags_in]} has {len(files)} files for {len(bags)} recordings. Name one for '
-            f'each recording in {bags_in}, in the same order, or none.')
-    if bags_in == 'static.bags':
+            f'package.files has {len(files)} files for {len(bags)} recordings. Name one for each '
+            'recording in bags, then for each in static.bags, or none.')
+    chosen = slice(count, None) if at_rest else slice(count)
+    if at_rest:
         values = Values({'package.inertia': NO_INERTIA, **values})
     each: list[Values] = [
         values.replaced({
             name: value for name, value in parameter_files.read_parameters(file).items()
             if name in checks.PACKAGE_PARAMETERS or name.startswith(
                 ('topics.', 'recording.', 'tool_twist.', 'gravity.direction'))})
-        for file in files] or [values for _ in bags]
-    for bag, parameters in zip(bags, each, strict=True):
+        for file in files[chosen]] or [values for _ in bags[chosen]]
+    for bag, parameters in zip(bags[chosen], each, strict=True):
         missing = [name for name in checks.RECORDING_PARAMETERS if name not in parameters]
         if missing:
             raise BellowsError(
                 f"For '{bag}' these are not set: {', '.join(missing)}. Set them, or name a "
-                f'parameter file for each recording in {FILES_OF[bags_in]}.')
+                'parameter file for each recording in package.files.')
     return each
 
 
@@ -392,7 +391,6 @@ def prepare_settings(values: Values) -> PrepareSettings:
         gravity_direction=values['gravity.direction'],
         package_frame=values.recording.package_frame,
         align_at_rest=values.recording.align_at_rest,
-        rest_duration=values.recording.rest_duration,
         payload=conversion.package_of(values),
         gravity=values.gravity.magnitude,
         tool_twist_frame=values.tool_twist.frame,

@@ -127,7 +127,7 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
 def _read(values: Values, progress: Progress) -> StaticResult:
     """Return the result of the recordings; twists are irrelevant at rest."""
     recordings, each = list[Recording](), list(zip(
-        values.static.bags, reading.values_of_each(values, 'static.bags'), strict=True))
+        values.static.bags, reading.values_of_each(values, at_rest=True), strict=True))
     for bag, parameters in each:
         progress(f'reading {bag}', 0.0)
         if parameters.recording.package_world == ESTIMATE:

@@ -150,8 +150,7 @@ class TossResult(plan.OfPlan):
                 'longest': conversion.MAX_DELAY, 'speed': speed,
                 'shift': conversion.MAX_DELAY * speed}) if self.assumed else None,
             plan.outside_finding((*outside_loads(
-                (values.cup.valid_mass, values.cup.valid_vacuum), values.package.mass,
-                values.vacuum.holding), *[
+                conversion.box_of(values), values.package.mass, values.vacuum.holding), *[
                     'the mass is {:.3g} kg, of drops {:.3g} to {:.3g} kg'.format(
                         values.package.mass, *release.mass_range)]
                 * bool(conversion.beyond_masses(values)))),

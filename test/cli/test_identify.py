@@ -16,7 +16,7 @@ def test_the_cup_file_has_what_was_found_and_nothing_else(identified):
     fit = json.loads((identified / 'fit.json').read_text())
     assert values['cup.stiffness'] == tuple(np.ravel(fit['stiffness']))
     assert values['cup.damping'] == tuple(np.ravel(fit['damping']))
-    assert all(name.startswith(('cup.', 'envelope.')) for name in values)
+    assert all(name.startswith('cup.') for name in values)
 
 
 def test_parameters_from_several_places(succeed, workshop, tmp_path):

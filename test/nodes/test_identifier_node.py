@@ -78,7 +78,7 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path,
     found = np.reshape(shown['cup.stiffness'], (6, 6))
     assert_allclose(np.diag(found), np.diag(K), rtol=0.01)  # what is promised for this recording
     assert {name: tuple(value) for name, value in shown.items()}.items() <= values.items()
-    assert {'cup.length', 'cup.stiffness_std', 'envelope.rates', 'cup.valid_mass'} <= set(values)
+    assert {'cup.length', 'cup.stiffness_std', 'cup.valid_low', 'cup.valid_high'} <= set(values)
     for name, value in values.items():  # to the digits of a file
         assert_allclose(predictor.values[name], value, err_msg=name)
     assert (tmp_path / 'fit.json').is_file()

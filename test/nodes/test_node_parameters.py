@@ -79,7 +79,7 @@ def test_values_are_used_at_once_and_doubts_are_logged(node, caller, capfd):
 
 
 @pytest.mark.parametrize(('name', 'value', 'named'), [
-    ('envelope.deflection_low', [0.01] * 6, ''), ('package.mass', 5e-324, 'package.mass'),
+    ('cup.valid_low', [0.01] * 14, ''), ('package.mass', 5e-324, 'package.mass'),
     ('package.com', '[0, 0, x]', ''), ('package.mass', '2,5', ''), ('cup.stifness', K, ''),
     ('tool_link', 'a\x1b[31mb', r"'a\x1b[31mb'"), ('tool_twist.frame', 'tool', ''),
     ('bags', ['a'], ''), ('wrench.frame', '1e300 0 0 0 0 0 1', 'wrench.frame'),

@@ -33,7 +33,6 @@ LAB = {
     **CLEAN, 'topics.tool_pose': '/mocap/tool_arm/pose', 'topics.tool_twist': '',
     'topics.package_pose': '/mocap/plate/pose', 'recording.world': 'motive_y_up',
     'recording.package_frame': 'lip', 'recording.align_at_rest': True,
-    'recording.rest_duration': 1.8,
 }
 
 
@@ -101,13 +100,15 @@ def test_each_recording_may_have_its_own_topics(root, true_cup, tmp_path):
 def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path):
     """Start from a wrong length: it is found, and the stiffness with it."""
     result, truth = shipped
-    files = [tmp_path / f'{mass}.yaml' for mass in weights.values()]
+    own = result.values.package.mass
+    files = [tmp_path / f'{mass}.yaml' for mass in (
+        *[own] * len(result.values.bags), *weights.values())]
     for file in files:
         file.write_text(f'package.mass: {file.stem}')
     joined = identify({
         **result.values, 'fit.method': 'output_error', 'cup.length': 0.0475,
-        'static.bags': list(weights),
-        'static.files': list(map(str, files)), 'static.length': True})
+        'static.bags': list(weights), 'static.length': True,
+        'package.files': list(map(str, files))})
     length, std, _ = joined.found['cup.length']
     assert abs(length - truth['cup.length']) < 4.0 * std and std < 2e-4
     count, chi2 = joined.fit.standstills

@@ -107,7 +107,6 @@ def test_y_up_and_turned_markers_are_noticed(m, tmp_path):
         poses('/plate', m['t'], apply(up, m['o_p']), up @ m['R_p'] @ turn))
     assert found.settings['recording.world'] == 'motive_y_up'
     assert found.settings['recording.align_at_rest'] is True
-    assert 0.6 <= found.settings['recording.rest_duration'] <= REST
     assert any('align_at_rest' in note for note in found.notes)
 
 

@@ -247,8 +247,8 @@ def test_lost_grip_and_unknown_grip_are_reported(bag):
         'cup.stiffness': np.diag([5400.0, 5400.0, 9200.0, 0.3, 0.3, 1.35]).ravel().tolist()})
     assert np.degrees(soft['peak_bending']) > 45.0 and 'may flip' in ' '.join(soft['warnings'])
     assert 'may flip' not in ' '.join(unknown['warnings'])
-    seen = {'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
-            'envelope.rates': [0.1] * 6, 'cup.valid_mass': [1.8, 1.8]}
+    seen = {'cup.valid_low': [-1e-3] * 6 + [-0.1] * 6 + [1.8, 0.0],
+            'cup.valid_high': [1e-3] * 6 + [0.1] * 6 + [1.8, 0.0]}
     outside = figures(bag, values=seen)['outside_validity']
     assert any('bending about' in phrase for phrase in outside)
 

@@ -31,15 +31,11 @@ from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.preparation import with_tool_earlier
 from bellows_ros.core.recording.recording import FilterNoise, Recording
-from bellows_ros.core.signals.residuals import interpolated, Spectrum, spectrum
 from bellows_ros.core.signals.savgol import BLOCK
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 from numpy.typing import ArrayLike
-
-ENVELOPE_BAND = 0.95
-"""Fraction of the deflection's power inside the frequency bands."""
 
 DELAYS = np.arange(-25, 26) * 0.01
 """Delays that are compared, s: more than a swinging package lags behind the tool, in steps shorter
@@ -207,15 +203,10 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
     """
     if not samples.count:
         raise BellowsError('The recording has no valid samples, hence no validity range.')
-    deflection, mass = samples.lip.displacement(cup_length), samples.payload.mass
-    every: Array = np.full((len(samples.tool), 6), np.nan)
-    every[samples.valid] = deflection
-    strain = spectrum(interpolated(every), uniform_rate_hz(samples.package.stamps_ns))
-    shift_and_rotation = np.column_stack([strain.density[:, i:i + 3].sum(axis=1) for i in (0, 3)])
-    bands = np.column_stack(Spectrum(strain.frequency, shift_and_rotation).band(ENVELOPE_BAND))
-    return Envelope(
-        deflection.min(axis=0), deflection.max(axis=0), np.abs(samples.lip.twist).max(axis=0),
-        np.nan_to_num(bands), np.array([mass, mass]))
+    deflection, load = samples.lip.displacement(cup_length), (samples.payload.mass, 0.0)
+    rates = np.abs(samples.lip.twist).max(axis=0)
+    return Envelope(np.hstack([deflection.min(axis=0), -rates, load]),
+                    np.hstack([deflection.max(axis=0), rates, load]))
 
 
 NO_EFFECT = 1e-8

@@ -87,8 +87,7 @@ class Load:
     Parameters
     ----------
     values : mapping
-        Parameters by name: inputs of `grip_of`, safety.least, package.mass,
-        envelope.*.
+        Parameters by name: inputs of `grip_of`, safety.least, package.mass, cup.valid_*.
     pressure : float, optional
         Last measured absolute pressure in the cup, Pa.
     of_cups : mapping of int to float
@@ -159,8 +158,8 @@ class Load:
             return
         rotation = t3.rotation_between(prediction.tool[1], prediction.quaternion_xyzw)
         now = distance(
-            self._envelope, (*shift, *rotation), (*linear, *angular),
-            self._values.package.mass, self._vacuum())
+            self._envelope, (*shift, *rotation, *linear, *angular, self._values.package.mass,
+                             self._vacuum()))
         if self._distance is None or now.value > self._distance.value:
             self._distance = now
 
@@ -301,4 +300,4 @@ def check_live(values: Values) -> None:
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(
             f'The prediction fails with these parameters ({error}). Check package.*, cup.*, '
-            'envelope.* and their units.') from None
+            'cup.valid_low, cup.valid_high and their units.') from None

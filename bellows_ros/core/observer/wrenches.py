@@ -40,6 +40,7 @@ from bellows_ros.core.sensors.wrench import (
     GAIN_STD,
     gripper_load,
     Mount,
+    SAMPLE_NOISE,
     WrenchSensor,
 )
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -224,7 +225,7 @@ class WrenchFilter:
         after, is_outside = self._updated(
             correction, own, WITH_CAMERA if has_camera else CUP,
             used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
-            np.repeat(np.square(self.sensor.noise) / (last - first) + PERSISTENCE * (
+            np.repeat(np.square(SAMPLE_NOISE) / (last - first) + PERSISTENCE * (
                 GAIN_STD**2 + before.memory[ekf.SHARE]) * np.square(
                     np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
         self._outside = min(self._outside + 1, PERSISTING) * is_outside

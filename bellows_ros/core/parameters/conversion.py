@@ -14,7 +14,7 @@ from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncerta
 from bellows_ros.core.model.grip import Grip, Law, Release, RELEASE_NAMES
 from bellows_ros.core.model.pseudo_inertia import flatness, nearest
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
-from bellows_ros.core.model.validity_range import Envelope, RANGE_PARAMETERS
+from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.sensors.corners import CornerNoise, Tag
 from bellows_ros.errors import BellowsError, UnitWarning
@@ -43,7 +43,7 @@ def one_cup_of(values: Values) -> Cup:
     """Return a single cup of parameter values; cup.layout is ignored."""
     stiffness = structure.matrix(values.cup.stiffness)
     a, b = values.get('cup.stretch', (0.0, 0.0))
-    ends = [values.get(f'envelope.deflection_{end}', np.zeros(6))[2] for end in ('low', 'high')]
+    ends = [values.get(f'cup.valid_{end}', np.zeros(14))[2] for end in ('low', 'high')]
     structure.require_stretch(stiffness, (a, b), *(ends if any(ends) else ()))
     for doubt in structure.cup_doubts(stiffness, values.cup.length):
         warnings.warn(doubt, UnitWarning, stacklevel=2)
@@ -96,20 +96,21 @@ def stiffness_std(values: Values) -> Array:
     """
     Return the standard deviations (6, 6) of K for the mass and the vacuum of use.
 
-    Results of finite-element bellows add errors in proportion to the distance from cup.valid_mass
-    and cup.valid_vacuum.
+    Results of finite-element bellows add errors in proportion to the distance from the masses and
+    vacuums in cup.valid_low and cup.valid_high.
     """
     std = np.reshape(values.cup.stiffness_std, (6, 6))
     K = np.diag(matrix(values.cup.stiffness))
 
-    def distance(value: float, name: str) -> float:
-        low, high = values.get(name, (0.0, 0.0))
+    def distance(name: str, place: int) -> float:
+        value = values.get(name, 0.0)
+        low, high = values.cup.valid_low[place], values.cup.valid_high[place]
         return max(low - value, value - high, 0.0) if high > 0.0 and value > 0.0 else 0.0
 
     # relative change per kg, without and with stretch
     by_mass = (0.30, 0.03)[any(values.get('cup.stretch', ()))]
-    more = distance(values.get('vacuum.holding', 0.0), 'cup.valid_vacuum') * STIFFNESS_BY_VACUUM
-    more[3:5] += by_mass * distance(values.get('package.mass', 0.0), 'cup.valid_mass')
+    more = distance('vacuum.holding', 13) * STIFFNESS_BY_VACUUM
+    more[3:5] += by_mass * distance('package.mass', 12)
     return np.asarray(np.hypot(std, np.diag(K * more)))
 
 
@@ -219,11 +220,14 @@ def grip_of(
 
 
 def parameter_envelope(values: Values) -> Envelope | None:
-    """Return the validity range in parameter values, or None if all are zero: unknown."""
-    ranges = {name: np.array(values.get(key, ())) for name, key in RANGE_PARAMETERS.items()}
-    if not any(ranges[name].any() for name in {*ranges} - {'mass', 'vacuum'}):
-        return None
-    return Envelope(**{**ranges, 'frequencies': ranges['frequencies'].reshape(2, 2)})
+    """Return the validity range in parameter values, or None if deflections are unknown."""
+    valid = box_of(values)
+    return valid if valid.is_known else None
+
+
+def box_of(values: Values) -> Envelope:
+    """Return the validity range in parameter values, possibly unknown."""
+    return Envelope(np.array(values.cup.valid_low), np.array(values.cup.valid_high))
 
 
 def tip_of(values: Values) -> Array | None:

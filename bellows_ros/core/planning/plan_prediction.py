@@ -17,7 +17,7 @@ from bellows_ros.core.model import kernels, simulation
 from bellows_ros.core.model.equilibrium import adapted, largest_step, substeps_for
 from bellows_ros.core.model.grip import Grip, least_factors, Margin, mode_name
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.model.validity_range import beyond, Envelope, OVERTURN_ANGLE
+from bellows_ros.core.model.validity_range import distance, Envelope, OVERTURN_ANGLE
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -120,9 +120,8 @@ class PlanPrediction(NamedTuple):
 
     def outside(self, valid: Envelope | None, mass: float, vacuum: float) -> tuple[str, ...]:
         """Return a phrase for each validity range that the plan, mass or vacuum exceeds."""
-        return () if valid is None else beyond(valid, Envelope(
-            self.deflection[:, 0], self.deflection[:, 1], self.rates, np.zeros((2, 2)),
-            np.full(2, mass), np.full(2, vacuum)))
+        return () if valid is None else distance(valid, *(
+            [*deflection, *self.rates, mass, vacuum] for deflection in self.deflection.T)).outside
 
 
 class PlanSimulation:

@@ -38,6 +38,8 @@ MIN_SAMPLES_AT_REST, MIN_PART_AT_REST = 10, 0.5
 # Duration of the averaged poses at the beginning, and shortest rest at the beginning, s.
 START_SECONDS = 0.2
 MIN_REST = 0.5
+# Fraction of a standstill whose poses count as at rest.
+REST_PART = 0.9
 # Smallest rotation (rad) of marker frames relative to each other, also relative to the tool's
 # tilt, by which a package bends the cup.
 MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT = np.deg2rad(1.5), 0.5
@@ -179,7 +181,7 @@ def aligned_at_rest(
 
 def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -> MeanPose:
     """
-    Return the pose of a body during a standstill; raise if the body moves.
+    Return the mean pose of a body during a standstill, without the samples far from the median.
 
     Parameters
     ----------
@@ -192,30 +194,24 @@ def standstill(poses: Trajectory, start_ns: int, duration_s: float, body: str) -
     body : str
         Name for messages.
 
-    Returns
-    -------
-    MeanPose
-        Mean without the samples far from the median.
-
     Raises
     ------
     BellowsError
-        If there are too few valid samples, or the body moves.
+        If the standstill is short, or there are too few valid samples.
 
     """
-    poses = poses.between(start_ns, start_ns + int(duration_s * NS_PER_S))
+    poses = poses.between(start_ns, start_ns + int(REST_PART * duration_s * NS_PER_S))
     rest = poses.select(poses.valid)
     wrong = ''
-    if len(rest) < max(MIN_SAMPLES_AT_REST, MIN_PART_AT_REST * len(poses)):
+    if duration_s < MIN_REST:
+        wrong = f'both bodies stand still only for the first {duration_s:.1f} s or so'
+    elif len(rest) < max(MIN_SAMPLES_AT_REST, MIN_PART_AT_REST * len(poses)):
         wrong = (f'only {len(rest)} of the {len(poses)} poses there are usable; expected at least '
                  f'{MIN_SAMPLES_AT_REST} and half of them')
-    elif (still_s := _beginning(rest)[1]) < rest.seconds[-1]:
-        wrong = f'it stands still only for the first {still_s:.1f} s or so'
     if wrong:
         raise BellowsError(
-            f'Alignment needs the {body} at rest in the first {duration_s:g} s, but {wrong}. Set '
-            'recording.rest_duration to the actual standstill, record a longer one, or set '
-            'recording.align_at_rest to false.')
+            f'Alignment needs the {body} at rest in the first {MIN_REST:g} s, but {wrong}. Record '
+            'a longer standstill, or set recording.align_at_rest to false.')
     reference = _median_rotation(rest.rotation)
     used = _is_typical(rest.position - np.median(rest.position, axis=0)) & _is_typical(
         lie.log_so3(reference.T @ rest.rotation))

@@ -148,8 +148,9 @@ def _alignment(
     if not settings.align_at_rest:
         return Alignment(np.eye(3), np.eye(3), given[1] * (given[0] == 'lip'), np.zeros(3))
     start = max(int(poses.stamps_ns[0]) for poses in (tool_poses, package_poses))
+    seconds = rest_of(tool_poses, package_poses).seconds
     tool, package = (
-        standstill(poses, start, settings.rest_duration, body)
+        standstill(poses, start, seconds, body)
         for poses, body in ((tool_poses, 'tool'), (package_poses, 'package')))
     return aligned_at_rest(tool, package, *given)
 

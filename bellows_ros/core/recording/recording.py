@@ -25,6 +25,7 @@ from bellows_ros.core.recording.alignment import (
     Alignment,
     in_world,
     rest_of,
+    REST_PART,
     world_rotation,
 )
 from bellows_ros.core.recording.outliers import Outliers
@@ -52,9 +53,6 @@ NOISE_SAMPLES = 20_000
 
 LOW_RATE_HZ = 100.0
 """Rate of poses below which polynomials do not follow the motion on a cup, Hz."""
-
-REST_PART = 0.9
-"""Fraction of a standstill whose poses count as at rest."""
 
 MIN_SAMPLES_AT_REST = 10
 """Smallest number of poses at rest for their noise."""
@@ -272,8 +270,6 @@ class PrepareSettings:
         recording.package_frame: 'com' or 'lip'.
     align_at_rest : bool
         recording.align_at_rest: whether (4.2-4.13) are applied.
-    rest_duration : float
-        Duration of the initial rest, recording.rest_duration, s.
     payload : Package
         Mass, inertia and centre of mass B in S of the package, package.*.
     gravity : float
@@ -292,7 +288,6 @@ class PrepareSettings:
     gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
     package_frame: str = 'com'
     align_at_rest: bool = False
-    rest_duration: float = 1.0
     payload: Package = Package(1.0, 0.01 * np.eye(3), np.zeros(3))
     gravity: float = STANDARD_GRAVITY
     tool_half_window: int = 0

@@ -235,7 +235,5 @@ def with_standstills(
 ) -> Envelope:
     """Return a validity range that includes the deflections of standstills, without rates."""
     nominal = np.array([0.0, 0.0, -cup_length, 0.0, 0.0, 0.0])
-    deflections = np.array([still.lip - nominal for still in standstills])
-    return replace(
-        envelope, deflection_low=np.minimum(envelope.deflection_low, deflections.min(axis=0)),
-        deflection_high=np.maximum(envelope.deflection_high, deflections.max(axis=0)))
+    return envelope.widened([
+        np.pad(still.lip - nominal, (0, 8), constant_values=np.nan) for still in standstills])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.sensors.wrench import WrenchSensor
+from bellows_ros.core.sensors.wrench import SAMPLE_NOISE, WrenchSensor
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -59,7 +59,7 @@ class Fault(NamedTuple):
 def fault_of(still: Still, sensor: WrenchSensor, weight: float) -> Fault | None:
     """Return what contradicts the stated set-up, or None."""
     size, bias_std = weight * np.repeat([1.0, ARM], 3), np.repeat(sensor.bias_std, 3)
-    noise = np.hypot(NOISE * size, np.repeat(sensor.noise, 3) / 5.0)
+    noise = np.hypot(NOISE * size, np.repeat(SAMPLE_NOISE, 3) / 5.0)
     (stated,), _ = _misfits(still, np.eye(6)[None, None], noise, bias_std)
     if stated < CLEAR:
         return None

@@ -35,6 +35,9 @@ BLOCK_NS = 62_500_000
 """Longest block of averaged wrenches, ns: the low pass has its first zero at 16 Hz, -3 dB at
 7 Hz."""
 
+SAMPLE_NOISE = (0.1, 0.005)
+"""Standard deviation of a sample by data sheets, N and N m; a larger one is estimated."""
+
 GAIN_STD = 0.01
 """Relative standard deviation of a sensor's gain: the usual 1 % of data sheets."""
 
@@ -43,8 +46,6 @@ class WrenchSensor(NamedTuple):
     """Settings of a sensor, SI units; pairs are of force and moment."""
 
     mount: Mount
-    noise: tuple[float, float]
-    """Standard deviation of a sample."""
     bias_std: tuple[float, float]
     delay_ns: int
     gripper: Gripper
@@ -57,8 +58,7 @@ class WrenchSensor(NamedTuple):
             lie.quaternion_to_rotation(pose[3:]).ravel().tolist())
         return cls(
             ((x, y, z), R, 1.0 if values['wrench.sign'] == 'load' else -1.0),
-            values['wrench.noise'], values['wrench.bias_std'],
-            round(NS_PER_S * values['wrench.delay']),
+            values['wrench.bias_std'], round(NS_PER_S * values['wrench.delay']),
             gripper_at_sensor(values['gripper.mass'], *(
                 np.array(values[f'gripper.{name}']) for name in ('com', 'inertia'))))
 

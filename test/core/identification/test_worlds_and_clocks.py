@@ -120,7 +120,7 @@ def test_a_marker_that_rest_aligns_is_found_with_the_world():
     seen = replace(poses, position=poses.position @ R, rotation=R.T @ poses.rotation @ marker)
     world = reported(
         replace(recording, package_pose=seen, settings=replace(
-            recording.settings, align_at_rest=True, rest_duration=0.8)),
+            recording.settings, align_at_rest=True)),
         recording__package_world='estimate').package_world
     back = quaternion_to_rotation(world.pose[3:])
     middle = seen.position.mean(axis=0)

@@ -50,9 +50,8 @@ def test_deflection_is_that_of_the_lip():
 def test_smallest_margin_and_largest_distance_are_kept():
     values = resolve({
         **PACKAGE, 'cup.lip_radius': 0.02, 'vacuum.holding': 6e4,
-        'envelope.deflection_low': [-1e-3] * 6, 'envelope.deflection_high': [1e-3] * 6,
-        'envelope.rates': [1.0] * 6, 'envelope.frequencies': [0.0, 9.0, 0.0, 9.0],
-        'cup.valid_mass': [2.0, 2.0]})
+        'cup.valid_low': [-1e-3] * 6 + [-1.0] * 6 + [2.0, 0.0],
+        'cup.valid_high': [1e-3] * 6 + [1.0] * 6 + [2.0, 0.0]})
     load = Load(values)
     assert load.grip and load.has_envelope
     for case in (prediction(), prediction((0.0, 0.0, 30.0)), prediction(moment=(0.0, 0.05, 0.0))):

@@ -75,7 +75,7 @@ def test_a_cup_file_with_too_much_stretch_is_refused_with_the_reason():
                'package.com': [0.0, 0.0, -0.03]}
     soft = resolve({'cup.stretch': [-1e5, 0.0], **package})
     assert cup_of(soft).stretch == (-1e5, 0.0)
-    wide = {'envelope.deflection_low': [-0.01] * 6, 'envelope.deflection_high': [0.01] * 6}
+    wide = {'cup.valid_low': [-0.01] * 14, 'cup.valid_high': [0.01] * 14}
     with pytest.raises(BellowsError, match=r'cup\.stretch is \[-100000, 0\].* shift of 10 mm'):
         cup_of(resolve({'cup.stretch': [-1e5, 0.0], **package, **wide}))
 

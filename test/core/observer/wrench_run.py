@@ -85,8 +85,7 @@ def simulated(
         loads - bias, STEP_NS * 1e-9, rng)
     mass, at, inertia = wrench_cell.numbers_of(masses, places)
     return Run(stamps, tool, body, readings, {
-        'wrench.frame': '0 0 0.1 0 0 0 1', 'wrench.noise': list(kind['noise']),
-        'wrench.delay': kind['delay'],
+        'wrench.frame': '0 0 0.1 0 0 0 1', 'wrench.delay': kind['delay'],
         'gripper.mass': float(mass), 'gripper.com': at.tolist(),
         'gripper.inertia': inertia.tolist(),
         'package.mass': PACKAGE.mass, 'package.com': list(PACKAGE.com),

@@ -64,7 +64,7 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
 
 @pytest.mark.parametrize('name, suggested', [
     ('package.mas', "'package.mass'"), ('mass', "'package.mass'"),
-    ('envelop.rates', "'envelope.rates'"),
+    ('gravity.direktion', "'gravity.direction'"),
     ('package.xyzzy', 'package.mass, package.inertia, package.com'),
     ('package', 'package.mass, package.inertia, package.com'), ('zzzzzzzzzz', r'topics\.\*')])
 def test_an_unknown_name_is_refused_with_the_nearest_or_those_of_its_group(name, suggested):
