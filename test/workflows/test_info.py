@@ -57,7 +57,6 @@ def test_poses_determine_roles_if_names_do_not(m, tmp_path):
     assert found.package and found.package.topic == '/a'
     assert found.settings['recording.world'] == 'z_up'
     assert found.settings['recording.align_at_rest'] is False
-    assert found.settings['recording.rest_duration'] == pytest.approx(0.9 * REST, abs=0.2)
 
 
 @pytest.mark.parametrize('jump', [0.0, 1.0])
