@@ -55,10 +55,6 @@ UNEXPLAINED, MAX_UNEXPLAINED = 27.86, 0.2
 """Largest part of a squared innovation not explained by a fall, the gate, and its growth with the
 innovation; a push or another object is no fall."""
 
-VACUUM_ODDS = 1000.0
-"""Factor by which a vacuum that holds lowers the odds of a fall: a switch is stuck once in so many
-losses."""
-
 
 class Alarm(NamedTuple):
     """A lost package ('lost'), deviating poses ('deviates') or a wrong parameter ('differs')."""

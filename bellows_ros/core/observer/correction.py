@@ -16,12 +16,11 @@ from bellows_ros.core.observer import measurement as measured
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import changed_by, MeasuredPose
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
-from bellows_ros.core.observer.results import Estimate, Evidence, USUAL
+from bellows_ros.core.observer.results import Estimate, Evidence
 from bellows_ros.core.observer.states import LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT
 from bellows_ros.core.observer.track import Track
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 RESTART_COUNT = 8
@@ -29,12 +28,6 @@ RESTART_COUNT = 8
 
 RESTART_NS = 100_000_000
 """Shortest duration of these measurements, ns."""
-
-NONLINEAR_LATENCY = 5e-3
-"""
-Latency (s) above which poses are applied before their stamps. A change of such a latency makes the
-filter nonlinear; the evidence of faults is then reset.
-"""
 
 LARGEST_LOAD = 5.0
 """Largest load of a holding cup, in weights, for the largest plausible displacement of its lip."""
@@ -61,9 +54,6 @@ FIRST_MEMORY = 0.043
 LEAST_TOOL_NOISE = 5e-7, 2.5e-6
 """Smallest noise of the tool's position (m) and rotation (rad), of the size of the filter's step
 errors."""
-
-TOOL_LATENCY = 5e-3
-"""Largest delay of the tool's poses, s."""
 
 HUNG_NS = 1_000_000_000
 """Time at rest before a start, in which the errors of cup and package displace it, ns."""
@@ -95,20 +85,6 @@ def first_memory() -> Array:
         FIRST_PERIOD, [FIRST_SQUARES] * 2, [products] * 2, np.zeros(6), np.ones(2),
         MODEL_ERROR_SHARE, FIRST_JITTER**2, 0.0, 0.0]
     return memory
-
-
-def _exposure_ns(before: Estimate, stamp_ns: int) -> int:
-    """
-    Return the time of a measurement (ns) from its stamp and the estimated latency.
-
-    The time follows the time of the previous measurement by at least half of the interval of the
-    stamps. Short latencies are corrected by `measurement.at_exposure`.
-    """
-    late_ns, last_ns = int(NS_PER_S * before.theta[states.LATENCY - STATE]), before.late_ns
-    if late_ns < NS_PER_S * NONLINEAR_LATENCY:
-        return stamp_ns
-    most_ns = last_ns + (stamp_ns - before.stamp_ns - last_ns) // 2
-    return max(stamp_ns - max(min(late_ns, most_ns), 0), before.stamp_ns)
 
 
 class Correction:
@@ -192,29 +168,17 @@ class Correction:
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, support: int = 0,
     ) -> tuple[measured.Corrected, Estimate]:
         """Return result and estimate of `filter_step`; with gate 0 propagate only."""
-        evidence, theta, walk = before.evidence, before.theta, self._walk
+        walk = self._walk
         if support == CONTACT:
             walk = walk.copy()
             walk[WRENCH_ROWS[:3]] += np.square(self._weight_in(before.body)) / TOUCHDOWN
-        late = (measurement.stamp_ns - stamp_ns) / NS_PER_S if gate > 0.0 else 0.0
-        if late:  # correction for reading the pose earlier
-            theta = theta.copy()
-            theta[states.LATENCY - STATE] -= late
         result = measured.filter_step(
-            self.row, self.law, (*before[:3], theta, *before[4:6]), track.samples,
-            stamp_ns, self.max_step, (self._drive, walk, self._marker[3][0]),
-            MeasuredPose(
+            self.row, self.law, before[:6], track.samples, stamp_ns, self.max_step,
+            (self._drive, walk, self._marker[3][0]), MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
-                self.holding_reach, self.largest, gate, evidence.means,
-                self._prior_of_differing),
-            evidence.poses < alarms.KNOWN_COUNT,
-            before.memory[ekf.COUNT] < alarms.KNOWN_COUNT
-            or bool(evidence.means[2].max() <= USUAL))
-        _, tool, body, theta, P, memory = result.estimate
-        theta[states.LATENCY - STATE] += late
-        return result, before._replace(
-            stamp_ns=stamp_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
-            support=support)
+                self.holding_reach, self.largest, gate, before.evidence.means,
+                self._prior_of_differing), before.evidence.poses < alarms.KNOWN_COUNT)
+        return result, Estimate(*result.estimate, *before[6:])._replace(support=support)
 
     def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
@@ -222,16 +186,9 @@ class Correction:
             estimate, track, stamp_ns, support=estimate.support)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
-        """
-        Return an estimate at a sample of the tool, whose noise appears at once in its twist.
-
-        A latency between tool and camera may be a delay of the tool.
-        """
+        """Return an estimate at a sample of the tool, whose noise appears at once in its twist."""
         P = estimate.covariance.copy()
         P[6:STATE, 6:STATE] += self._drive[0, :6, :6]
-        late = min(abs(estimate.theta[states.LATENCY - STATE]), TOOL_LATENCY)
-        lag = late * np.r_[estimate.body[2], estimate.body[3]]
-        P[:6, :6] += lag[:, None] * lag
         return estimate._replace(covariance=P)
 
     def body_at_end(self, estimate: Estimate, track: Track) -> State:
@@ -248,13 +205,12 @@ class Correction:
         Further results are the verdict (`used`, `recovered`, `outlier` or `out_of_reach`),
         and an alarm, if any. While a support may be near, deviations do not count.
         """
-        if not measurement.is_pose:
-            result, after = self._step(
-                before, track, measurement.stamp_ns, support=support)
-            return after, '', self._differing(after, after.evidence, result.changes)[1]
-        stamp_ns = _exposure_ns(before, measurement.stamp_ns)
+        stamp_ns, is_pose = measurement.stamp_ns, measurement.is_pose
         result, after = self._step(
-            before, track, stamp_ns, measurement, measured.GATE, support)
+            before, track, stamp_ns, measurement if is_pose else NO_MEASUREMENT,
+            measured.GATE * is_pose, support)
+        if not is_pose:
+            return after, '', self._differing(after, after.evidence, result.changes)[1]
         if result.verdict == measured.OUT_OF_REACH:
             return before._replace(
                 evidence=before.evidence._replace(seen=result)), 'out_of_reach', None
@@ -263,13 +219,12 @@ class Correction:
             len(gated) >= RESTART_COUNT and stamp_ns - gated[0] >= RESTART_NS) else 'outlier'
         after = after._replace(
             gated_ns=gated, away_ns=before.away_ns if gated else 0,
-            late_ns=measurement.stamp_ns - stamp_ns,
             evidence=before.evidence._replace(seen=result))
         alarm = None
         if not support:
             after, alarm = self._judged(before, after, result)
         if alarm is None and name == 'recovered':
-            after = self._restarted(after, before.memory, track, measurement)
+            after = self._restarted(after, before.memory)
         return after, name, alarm
 
     def met(self, before: Estimate, track: Track, stamp_ns: int) -> Estimate:
@@ -317,11 +272,7 @@ class Correction:
         self, before: Estimate, after: Estimate, seen: measured.Corrected
     ) -> tuple[Estimate, Alarm | None]:
         """Return an estimate with the evidence of a pose, and the alarm on it."""
-        row, is_tag = states.LATENCY, self._marker[3][0]
-        change = after.theta[row - STATE] - before.theta[row - STATE]
-        if min(change**2, before.covariance[row, row]) > NONLINEAR_LATENCY**2:
-            after.covariance[row, row] += change**2
-            return self._renewed(after), None
+        is_tag = self._marker[3][0]
         if is_tag and 0 < len(after.gated_ns) < alarms.BURST:
             return after, None
         after, alarm = self._differing(after, before.evidence.after(seen), seen.changes)
@@ -332,7 +283,7 @@ class Correction:
                 is_tag and lasted_ns < alarms.VIEW_NS):
             return after, alarm
         alarm = alarms.deviation(seen, means[squares.argmax()], evidence.since_ns)
-        return self._renewed(self._unsure(after, np.arange(STATE))), alarm
+        return self._renewed(after), alarm
 
     def _differing(
         self, estimate: Estimate, evidence: Evidence, sizes: Array
@@ -359,25 +310,13 @@ class Correction:
         return estimate._replace(
             gated_ns=(), evidence=Evidence(seen=estimate.evidence.seen))
 
-    def _unsure(self, estimate: Estimate, rows: Array) -> Estimate:
-        """Return an estimate with the prior variance added to some rows."""
-        P = estimate.covariance.copy()
-        P[rows, rows] += np.square(self.prior[rows])
-        return estimate._replace(covariance=P)
-
     def released(self, estimate: Estimate) -> Estimate:
         """Return an estimate of a package just released by its support."""
         return self._renewed(
             estimate.with_rows(self.initial, WRENCH_ROWS)._replace(support=0, away_ns=0))
 
-    def _restarted(
-        self, estimate: Estimate, memory: Array, track: Track, measurement: Measurement
-    ) -> Estimate:
-        """Return an estimate with initial uncertainty, corrected with a measurement."""
-        largest = self.largest[STATE:len(estimate.covariance)]
-        theta = np.where(np.abs(estimate.theta) <= largest, estimate.theta, 0.0)
-        restarted = self._unsure(estimate, np.r_[:STATE, WRENCH_ROWS])._replace(
-            theta=theta, memory=memory)
-        _, after = self._step(
-            restarted, track, estimate.stamp_ns, measurement, math.inf, estimate.support)
-        return self._renewed(after._replace(memory=memory, away_ns=0))
+    def _restarted(self, estimate: Estimate, memory: Array) -> Estimate:
+        """Return an estimate with initial uncertainty, for the next pose to correct."""
+        rows, P = np.r_[:STATE, WRENCH_ROWS], estimate.covariance.copy()
+        P[rows, rows] += np.square(self.prior[rows])
+        return self._renewed(estimate._replace(covariance=P, memory=memory, away_ns=0))

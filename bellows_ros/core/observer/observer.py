@@ -19,9 +19,9 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import body_row, row_state
-from bellows_ros.core.observer import alarms, dynamics, states
+from bellows_ros.core.observer import alarms, dynamics
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.alarms import Alarm, DIFFERS, LOST
+from bellows_ros.core.observer.alarms import Alarm, LOST
 from bellows_ros.core.observer.correction import Correction
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.measurement import changed_by, OUTLIER_DISTANCE
@@ -82,12 +82,6 @@ VERDICTS = (
 )
 """Reasons for rejecting a measured pose."""
 
-MAX_GATED = 2
-"""Largest number of gated poses of an interval without trouble."""
-
-CLEAN_NS = 500_000_000
-"""Time without trouble after which estimates of camera, cup and package are kept, ns."""
-
 
 class Observer:
     """
@@ -128,7 +122,6 @@ class Observer:
         self._delay_ns = 0  # of the newest measurement at its arrival
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # stamp, whether it holds, and period
-        self._held_ns = 0  # stamp of the last reading that holds
         self._of_signals: list[Alarm] = []
 
     def use_values(self, values: Values) -> None:
@@ -157,9 +150,9 @@ class Observer:
         self._support.grip(height, self._track.newest_ns)
 
     def _keep(self) -> None:
-        """Keep the newest estimate if no trouble followed."""
-        if self._estimates and not self._gated and self._since_ns <= self._candidate.stamp_ns:
-            self._commit(self._estimates[-1])
+        """Keep the newest estimate of camera, cup and package if its poses were usual."""
+        if self._estimates and not self._is_troubled and not self._estimates[-1].gated_ns:
+            self._known = self._estimates[-1]
 
     def _begin_with(self, kept: tuple[int, ...]) -> None:
         """Begin without a motion, with the kept rows of previous estimates."""
@@ -173,9 +166,7 @@ class Observer:
         self._track.count = 0
         self._newest = None
         self.wrenches.clear()
-        self._since_ns = self._gated = 0
-        if states.MASS not in kept:
-            self._first_of_package = len(self.alarms)
+        self._is_troubled = False
         self._predict_with(known.theta)
 
     def _predict_from(self, newest: Estimate) -> None:
@@ -262,7 +253,6 @@ class Observer:
             first = self._correction.after_hanging(first)
             first.covariance[:STATE, :STATE] += np.diag(np.square(self._error_at(stamp_ns)))
         self._estimates.append(first)
-        self._candidate, self._since_ns = first, stamp_ns
         return True
 
     def follow(
@@ -300,8 +290,6 @@ class Observer:
             self._predict_from(self._correction.released(self._estimates[-1]))
         if stamp_ns - self._estimates[0].stamp_ns > MAX_DELAY_NS + HISTORY_NS:
             self._drop_old(stamp_ns - MAX_DELAY_NS)
-        if self._estimates[-1].away_ns > 0 and not self._has_left:
-            self._note_silence(stamp_ns)
         return prediction
 
     @property
@@ -388,7 +376,7 @@ class Observer:
             self.counts[verdict] += 1
         if verdict == 'recovered':
             after = after.with_rows(self._known, KNOWN_ROWS)
-        self._note_trouble(after.stamp_ns, verdict, alarm)
+        self._is_troubled |= alarm is not None or verdict == 'recovered'
         self._estimates.append(after)
         if verdict and self._may_fall(stamp_ns):
             alarm = None  # the next poses decide between a fall and a deviation
@@ -418,30 +406,6 @@ class Observer:
             self._of_signals.append(Alarm(stamp_ns, LOST, shown_by='wrench'))
             self._raise(self._of_signals[-1])
 
-    # ---------------------------------------------------------- kept estimates
-
-    def _note_trouble(self, stamp_ns: int, verdict: str, alarm: Alarm | None) -> None:
-        """Keep an estimate after an interval without trouble; after trouble restart it."""
-        estimate = self._estimates[-1]
-        self._gated += verdict == 'outlier'
-        if alarm is not None or verdict == 'recovered' or self._gated > MAX_GATED:
-            self._since_ns, self._gated, self._candidate = stamp_ns, 0, estimate
-        elif stamp_ns - self._candidate.stamp_ns > CLEAN_NS and not estimate.support:
-            if self._candidate.stamp_ns >= self._since_ns:
-                self._commit(self._candidate)
-            self._candidate, self._gated = estimate, 0
-
-    def _commit(self, estimate: Estimate) -> None:
-        """
-        Keep estimates of camera, cup and package.
-
-        After an alarm on the package the estimate of the cup is not kept, because a worn cup
-        resembles a wrong package.
-        """
-        if any(each.kind == DIFFERS for each in self.alarms[self._first_of_package:]):
-            estimate = estimate.with_rows(self._known, CUP_ROWS)
-        self._known = estimate
-
     @property
     def departs_from_file(self) -> bool:
         """Whether a parameter of the package differs from its estimate."""
@@ -462,24 +426,11 @@ class Observer:
             estimate = estimate._replace(away_ns=away_ns)
         if stamp_ns - away_ns < (VACUUM_DELAY_NS if self._is_held else LOST_AFTER_NS):
             return estimate
-        return self._judged_away(estimate, stamp_ns)
-
-    def _judged_away(self, estimate: Estimate, stamp_ns: int) -> Estimate:
-        """Raise the alarm on a package out of reach, which the vacuum may contradict."""
         seen = estimate.evidence.seen
         assert seen
-        self._raise(alarms.deviation(seen, seen.z, estimate.away_ns) if self._is_held
-                    else Alarm(stamp_ns, LOST, estimate.away_ns))
+        self._raise(alarms.deviation(seen, seen.z, away_ns) if self._is_held
+                    else Alarm(stamp_ns, LOST, away_ns))
         return estimate._replace(away_ns=-1)
-
-    def _note_silence(self, stamp_ns: int) -> None:
-        """Detect a camera without poses after the package has left its reach."""
-        last, last_ns = self._estimates[-1], self._last_ns[-1]
-        if stamp_ns - last_ns <= self._camera_silence_ns:
-            return
-        is_wrong_pose = bool(self._is_held) and last_ns - last.away_ns < LOST_AFTER_NS
-        self._estimates[-1] = last._replace(away_ns=0) if is_wrong_pose else (
-            self._judged_away(last, stamp_ns))
 
     def _may_fall(self, stamp_ns: int) -> bool:
         """Return whether a fall may explain the recent poses; raise an alarm if it is certain."""
@@ -488,8 +439,7 @@ class Observer:
         allowed = self._correction.false_per_hour
         if not allowed or last.z @ last.z <= OUTLIER_DISTANCE:
             return False
-        had_vacuum = self._had_vacuum(stamp_ns)
-        if self._estimates[-1].support and had_vacuum is not None:
+        if self._estimates[-1].support and self._is_held is not None:
             return False
         stamps: Stamps = np.asarray(self._track.rows[0])
         bodies: Array = np.asarray(self._track.rows[3])
@@ -508,8 +458,7 @@ class Observer:
             np.array([each.z for each in seen]), np.array([each.whitener for each in seen]),
             self._correction.nominal[2])
         period = self._estimates[-1].memory[ekf.PERIOD]
-        least = math.log(3600.0 / (period * min(allowed, 1.0))) + (
-            math.log(alarms.VACUUM_ODDS) if had_vacuum else 0.0)  # which contradicts
+        least = math.log(3600.0 / (period * min(allowed, 1.0)))
         if ratio > least:
             self._raise(Alarm(stamp_ns, LOST, seen[0].stamp_ns))
         return ratio > 0.5 * least
@@ -536,19 +485,21 @@ class Observer:
         """
         last = self._estimates[-1] if self._estimates else None
         return last is not None and not last.support and (
-            last.away_ns != 0 or len(last.gated_ns) > 1)
+            self._is_away or len(last.gated_ns) > 1)
+
+    @property
+    def _is_away(self) -> bool:
+        """Whether the package is out of reach by a camera that is not silent since one pose."""
+        away_ns = self._estimates[-1].away_ns if self._estimates else 0
+        return away_ns < 0 or (away_ns > 0 and self.patience_ns > 0)
 
     @property
     def patience_ns(self) -> int:
         """Delay (ns) of a measured pose of the present; 0 if the camera is silent."""
         is_seen = self._estimates and len(self._last_ns) == 3 and (
-            self._track.newest_ns - self._last_ns[-1] <= self._camera_silence_ns)
+            self._track.newest_ns - self._last_ns[-1] <= self._delay_ns + _silence_ns(
+                float(np.diff(self._last_ns).min())))
         return max(self._delay_ns, 1) if is_seen else 0
-
-    @property
-    def _camera_silence_ns(self) -> float:
-        """Time without a measured pose after which the camera is silent, ns."""
-        return self._delay_ns + _silence_ns(float(np.diff(self._last_ns).min()))
 
     def on_vacuum(self, is_held: bool, breaks: bool, moves: bool, cup: int = -1) -> None:
         """
@@ -559,12 +510,10 @@ class Observer:
         """
         newest_ns = self._track.newest_ns
         if cup < 0:
-            self._held_ns = newest_ns if is_held else self._held_ns
             before_ns, was_held, _ = self._vacuum or (0, not is_held, 0.0)
             self._vacuum = (
                 newest_ns, is_held, newest_ns - before_ns if is_held == was_held else math.inf)
-        is_away = bool(self._estimates) and self._estimates[-1].away_ns != 0
-        if not (self._track.count and breaks and (moves or (cup < 0 and is_away))):
+        if not (self._track.count and breaks and (moves or (cup < 0 and self._is_away))):
             return
         alarm = Alarm(newest_ns, LOST, shown_by='vacuum')
         places = [(x, y) for x, y, _, k in places_of(self._values).tolist() if k == cup]
@@ -582,11 +531,6 @@ class Observer:
         """
         stamp_ns, is_held, period_ns = self._vacuum or (0, None, 0.0)
         return None if self._track.newest_ns - stamp_ns > _silence_ns(period_ns) else is_held
-
-    def _had_vacuum(self, stamp_ns: int) -> bool | None:
-        """Return whether the vacuum held at a stamp, as `_is_held`, also if it broke later."""
-        is_held = self._is_held
-        return is_held if is_held is None else is_held or stamp_ns <= self._held_ns
 
     def _raise(self, alarm: Alarm | None) -> None:
         """Store an alarm, if any, unless an equal one has just been raised, or none is allowed."""

@@ -59,8 +59,6 @@ class Estimate(NamedTuple):
     reach; 0 for none, -1 after an assessment."""
     support: int = 0
     """Whether a support was `NEAR` or in `CONTACT`; 0 without."""
-    late_ns: int = 0
-    """Shift of the last measurement before its stamp, ns."""
     wrench_memory: tuple[float, ...] = ()
     """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
 
