@@ -25,24 +25,11 @@ from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.planning import steering
-from bellows_ros.core.planning.limits import (
-    Fastest,
-    fastest,
-    first_allowed,
-    Limits,
-    read_limits,
-    used_parts,
-)
+from bellows_ros.core.planning import limits as bounding
+from bellows_ros.core.planning import points, steering
+from bellows_ros.core.planning.limits import Fastest, Limits
 from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
-from bellows_ros.core.planning.points import (
-    joint_excess,
-    joint_parts,
-    Joints,
-    plan_of,
-    plan_of_joints,
-    timed,
-)
+from bellows_ros.core.planning.points import Joints, plan_of, timed
 from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals import resampling, savgol, trajectory
@@ -467,7 +454,7 @@ def steer_plan(
                 'width about its middle. Change the plan or the limits.')
         return name
 
-    scale, limit = first_allowed(limit_at) if limits or source.joints else (1.0, '')
+    scale, limit = bounding.first_allowed(limit_at) if limits or source.joints else (1.0, '')
     steered = steered_at(scale)
     motions = {'unchanged' if steered.method == 'none' else steered.method: _effect(
         replace(source, tool=steered.tool))}
@@ -520,7 +507,7 @@ def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
             text(Finding('no_factor')) if source.grip is None else
             'The plan begins or ends in motion. Give a plan from rest to rest.'))
     required = float(source.values.safety.least)
-    found = fastest(
+    found = bounding.fastest(
         conversion.uncertain_of(source.values), source.model, source.grip, source.tool, required)
     if found is None:
         raise UndeterminedError(
@@ -528,14 +515,14 @@ def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
             f'never above safety.least, {required:g}. Raise the vacuum, or use a larger cup.')
     tool, limit = timed(source.tool, found.scale), ''
     if joints := source.joints:
-        factor, limit = joint_excess(joints.arm, joints.along(tool, source.tool), math.inf)
+        factor, limit = points.joint_excess(joints.arm, joints.along(tool, source.tool), math.inf)
         tool = timed(tool, factor * 1.001 if limit else 1.0)  # of points 1 ms apart
     return found, tool, _slowed(float(tool.seconds[-1]) / source.duration, limit)
 
 
 def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
     """Return the limits in a YAML file, or in its content; '' for none."""
-    bounds = read_limits(
+    bounds = bounding.read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
     if source.grip is None and bounds.safety_factor > 0.0:
         raise BellowsError(
@@ -546,9 +533,9 @@ def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
 
 def _used(source: Source, limits: Limits, tool: Trajectory, factor: float) -> dict[str, float]:
     """Return the used part of each limit by a motion with a smallest safety factor."""
-    parts = used_parts(limits, tool, factor)
+    parts = bounding.used_parts(limits, tool, factor)
     if joints := source.joints:
-        parts |= joint_parts(
+        parts |= points.joint_parts(
             joints.arm, joints.along(tool, source.tool), limits.joint_acceleration)
     return parts
 
@@ -604,9 +591,9 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     stamps = source.tool.stamps_ns
     chosen, _ = recordings.interval_masks(
         [stamps, stamps if source.recorded_ns is None else source.recorded_ns], values)
-    if (points := np.count_nonzero(chosen)) < 2:
+    if (count := np.count_nonzero(chosen)) < 2:
         raise BellowsError(
-            f'The plan has {points} points from recording.start to recording.end; expected 2 or '
+            f'The plan has {count} points from recording.start to recording.end; expected 2 or '
             'more. Select a longer part.')
     tool = source.tool.select(chosen)
     twist = np.array(tool.twist)
@@ -649,7 +636,7 @@ def _source_of_plan(
     stamps = read.times_ns + (read.stamp_ns or START_NS)
     if read.kind == plans.JOINTS:
         arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(conversion.tip_of(values))
-        tool, joints = plan_of_joints(arm, read.names, stamps, *read[5:])
+        tool, joints = points.plan_of_joints(arm, read.names, stamps, *read[5:])
         return Source(tool, arm.root, values, joints=joints)
     tool = plan_of(stamps, read.points, read.rates, values.tool_twist.frame).trajectory()
     return Source(at_tip(tool, conversion.tip_of(values)), read.frame_id, values)

@@ -180,18 +180,14 @@ def _require_request(
     if target is None and (target_rotation is not None or switched is None):
         raise BellowsError(
             'Neither release nor target is given. Give the time of the valve, --release T (s), '
-            'or a place to hit, --target X Y (m).'
-            if target_rotation is None else
-            'target_rotation is given, but no target. Give both, or leave it out.')
-    for name, value, is_allowed, expected in (
-            ('release', switched, math.isfinite(switched or 0.0), 'a finite number.'),
-            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
-             f'two numbers, each at most {MAX_TARGET:g} m. Is it in mm?'),
-            ('target_rotation', target_rotation,
-             target_rotation is None or 0.5 <= np.linalg.norm(target_rotation) < math.inf,
-             'finite numbers, a quaternion of length 1.')):
-        if not is_allowed:
-            raise BellowsError(f'{name} is {value}; expected {expected}')
+            'or a place to hit, --target X Y (m), which a target_rotation needs.')
+    is_near = all(abs(x) <= MAX_TARGET for x in target or ())
+    if not (math.isfinite(switched or 0.0) and is_near and (
+            target_rotation is None or 0.5 <= np.linalg.norm(target_rotation) < math.inf)):
+        raise BellowsError(
+            f'release, target and target_rotation are {switched}, {target} and {target_rotation}; '
+            f'expected finite numbers, a target of at most {MAX_TARGET:g} m, and a quaternion of '
+            'length 1. Is the target in mm?')
 
 
 def toss_plan(

@@ -18,19 +18,6 @@ import pytest
 from ..core.identification.laboratory import Laboratory, parameters
 
 
-@pytest.mark.parametrize(('off', 'share', 'said'), [
-    (1.02, 0.1, ''), (1.02, 0.6, 'Likeliest'), (1.5, 0.1, ''), (1.5, 0.6, 'Likeliest')])
-def test_what_filters_take_is_not_doubted(off, share, said):
-    """Doubt what was given where a cause of most of the misfit moves K, and say so."""
-    noise = np.repeat([1e-4, 5e-4], 3)
-    rms = noise * np.where(np.arange(6) == 4, off, 1.0)
-    finding = cause('scale', [0.01], share, certain=False)
-    found = FitVerdict(
-        (Simulated('recording', rms, noise, 100.0 * noise),), (finding,), Values({}))
-    assert len(found.cause) == bool(said) == bool(found.refusals)
-    assert said in words(found.cause)
-
-
 def words(findings):
     """Return findings in words."""
     return ' '.join(map(text, findings))
