@@ -14,7 +14,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.jit import as_inputs, entry, kernel
+from bellows_ros.core.geometry.jit import as_inputs, entry
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.held_package import Sample
@@ -60,7 +60,7 @@ class Pairing:
         self._twists: deque[TwistSample] = deque(maxlen=32)
         self._before: TwistSample | None = None
         self._newest_ns = self._released_ns = -1
-        self._since_twist = self._sparse = 0  # poses, and successive twists after several poses
+        self._since_twist = self._sparse = 0  # poses, and successive twists too late for them
 
     @property
     def waiting(self) -> int:
@@ -85,7 +85,10 @@ class Pairing:
             twists.pop()  # their stamps were wrong
         if twists and stamp_ns <= twists[-1].stamp_ns:
             return
-        self._sparse = self._sparse + 1 if self._since_twist > 1 else 0
+        last_ns = twists[-1].stamp_ns if twists else self._before.stamp_ns if self._before else -1
+        is_soon = stamp_ns - last_ns <= MAX_SPAN_NS or (
+            abs(stamp_ns - self._newest_ns) <= PAIRING_TOLERANCE_NS)
+        self._sparse = 0 if is_soon and self._since_twist <= 1 else self._sparse + 1
         self._since_twist = 0
         if stamp_ns > self._released_ns + PAIRING_TOLERANCE_NS:
             twists.append(twist)
@@ -134,50 +137,43 @@ HISTORY = 5
 """Number of poses from which a missing twist is estimated."""
 
 
+STRAIGHT = 1e-4
+"""Relative sum of squares of a quadratic, orthogonal to a line, below which a line is fitted: 0.17
+for three uniform samples."""
+
+
 @entry
 def pose_with_slope(rows: Any, number: int, back: int) -> State:
     """
     Return the pose some samples before the newest, and the slope there of a quadratic.
 
     The rows (k, 8) have the last k of a number of samples, each in the row of its number modulo k:
-    stamp (s), position, quaternion.
+    stamp (s), position, quaternion. The quadratic is the sum of polynomials 1, u and
+    u^2 - a u - b, which are orthogonal for times u from the mean.
     """
     at, count = (number - 1 - back) % len(rows), min(number, len(rows))
     o = (rows[at][1], rows[at][2], rows[at][3])
     q = (rows[at][4], rows[at][5], rows[at][6], rows[at][7])
+    velocity, rate, mean, squares, cubes, others = ZERO, ZERO, 0.0, 0.0, 0.0, 0.0
     if count < 2:
-        return o, q, ZERO, ZERO
-    span = rows[(number - 1) % len(rows)][0] - rows[(number - count) % len(rows)][0]
-    s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0
+        return o, q, velocity, rate
     for i in range(count):
-        s = (rows[i][0] - rows[at][0]) / span
-        s1, s2, s3, s4 = s1 + s, s2 + s * s, s3 + s * s * s, s4 + s * s * s * s
-    w0, w1, w2 = slope_weights(float(count), s1, s2, s3, s4)
-    velocity, rate = ZERO, ZERO
+        mean += (rows[i][0] - rows[at][0]) / count
     for i in range(count):
-        s = (rows[i][0] - rows[at][0]) / span
-        weight = (w0 + s * (w1 + s * w2)) / span
+        u = rows[i][0] - rows[at][0] - mean
+        squares, cubes = squares + u * u, cubes + u * u * u
+    a, b = cubes / squares, squares / count
+    for i in range(count):
+        u = rows[i][0] - rows[at][0] - mean
+        others += (u * u - a * u - b) ** 2
+    bend = (-2.0 * mean - a) / others if others > STRAIGHT * squares * squares else 0.0
+    for i in range(count):
+        u = rows[i][0] - rows[at][0] - mean
+        weight = u / squares + bend * (u * u - a * u - b)
         shift = t3.subtract((rows[i][1], rows[i][2], rows[i][3]), o)
         turn = t3.rotation_between(q, (rows[i][4], rows[i][5], rows[i][6], rows[i][7]))
         velocity, rate = t3.add_scaled(velocity, weight, shift), t3.add_scaled(rate, weight, turn)
     return o, q, t3.apply_transposed(t3.rotation_matrix(q), velocity), rate
-
-
-@kernel
-def slope_weights(
-    n: float, s1: float, s2: float, s3: float, s4: float
-) -> tuple[float, float, float]:
-    """
-    Return the row for the slope at s = 0 of the inverse normal matrix of a quadratic fit.
-
-    The normal matrix is [[n, s1, s2], [s1, s2, s3], [s2, s3, s4]], with the sums of powers of s.
-    If the matrix is nearly singular, as for two samples, a line is fitted.
-    """
-    determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s3 * s2) + s2 * (s1 * s3 - s2 * s2)
-    if determinant < 1e-4:  # 0.06 for three uniform samples
-        return (-s1 / (n * s2 - s1 * s1), n / (n * s2 - s1 * s1), 0.0)
-    return ((s3 * s2 - s1 * s4) / determinant, (n * s4 - s2 * s2) / determinant,
-            (s1 * s2 - n * s3) / determinant)
 
 
 PERIOD_NS = 20_000_000
@@ -205,8 +201,8 @@ LAG_STEP = 2e-4
 AT_TIP = ORIGIN[:2]
 """Pose of E in the frame of poses and twists, unless given."""
 
-ROTATION_LEVER = 0.1
-"""Lever that converts rotations to distances, m."""
+WEIGHTS = np.repeat([1.0, 0.1 ** 2], 3)
+"""Weights of the squares of twists: a lever of 0.1 m converts rotations to distances."""
 
 MAX_JERK = 5e3
 """Largest jerk of an arm, m/s^3."""
@@ -219,25 +215,6 @@ MAX_ANGULAR_JERK = 5e4
 
 ANGLE_TOLERANCE = 0.15
 """Tolerance of a rotation in addition to the largest angular jerk, rad."""
-
-
-@entry
-def misfit(
-    tool: State, later: State, seconds: float, v: Vector, w: Vector
-) -> tuple[float, float, float, float]:
-    """
-    Compare a measured body twist with the slopes v, w of the poses.
-
-    The results are the squares of the slopes and of the deviation, the square of the acceleration
-    until a later twist, and its product with the deviation, with rotation weighted by
-    `ROTATION_LEVER`. Poses that lag by T deviate by T times the acceleration.
-    """
-    d, e = t3.subtract(tool[2], v), t3.subtract(tool[3], w)
-    a, b = t3.subtract(later[2], tool[2]), t3.subtract(later[3], tool[3])
-    lever = ROTATION_LEVER * ROTATION_LEVER
-    return (t3.dot(v, v) + lever * t3.dot(w, w), t3.dot(d, d) + lever * t3.dot(e, e),
-            (t3.dot(a, a) + lever * t3.dot(b, b)) / (seconds * seconds),
-            (t3.dot(a, d) + lever * t3.dot(b, e)) / seconds)
 
 
 @entry
@@ -299,7 +276,6 @@ class ToolMotion:
         self._in_world, self._tip = in_world, AT_TIP
         self._recent: deque[State] = deque(maxlen=LATER_POSES + 1)
         self.estimated = self.missed = 0
-        self._lag, self._sums = 0.0, np.zeros(5)  # see `misfit`, and their number
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
@@ -308,7 +284,8 @@ class ToolMotion:
             tuple(tip[:3, 3].tolist()), tuple(rotation_to_quaternion(tip[:3, :3]).tolist()))
 
     def clear(self) -> None:
-        """Forget all poses, but not the comparison of twists."""
+        """Forget all poses and twists."""
+        self._lag, self._sums = 0.0, np.zeros(5)  # see `_compare`
         self._count = self._origin_ns = 0
         self._recent.clear()
         self._due_ns = -1
@@ -347,15 +324,24 @@ class ToolMotion:
         self._recent.append(now)
         if seconds > 0.0 and len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
             self._due_ns = pose.stamp_ns + PERIOD_NS
-            stamp, earlier = (self._rows[(self._count - 1 - back) % HISTORY][0]
-                              for back in (0, LATER_POSES))
-            self._sums = FORGETTING * self._sums + [*misfit(
-                self._recent[0], now, float(stamp - earlier), *self.state(LATER_POSES)[2:4]), 1.0]
-            self._follow_lag()
+            self._compare(self._recent[0], now)
         return now, excess
 
-    def _follow_lag(self) -> None:
-        """Approach the lag of the poses behind the twists, if it is significant."""
+    def _compare(self, tool: State, later: State) -> None:
+        """
+        Compare a measured twist with the slope of the poses, and approach the lag of the poses.
+
+        Poses that lag by T deviate by T times the acceleration. The weighted sums are the squares
+        of slope, deviation and acceleration, the product of both, and the number.
+        """
+        stamp, earlier = (self._rows[(self._count - 1 - back) % HISTORY][0]
+                          for back in (0, LATER_POSES))
+        slope, twist, after = (
+            np.ravel(each[2:4]) for each in (self.state(LATER_POSES), tool, later))
+        deviation, acceleration = twist - slope, (after - twist) / (stamp - earlier)
+        self._sums = FORGETTING * self._sums + [*(WEIGHTS @ (x * y) for x, y in (
+            (slope, slope), (deviation, deviation), (acceleration, acceleration),
+            (acceleration, deviation))), 1.0]
         _, dd, aa, ad, count = self._sums.tolist()
         lag = ad / max(aa, 1e-12)
         std = math.sqrt(max(dd - lag * ad, 0.0) / (6.0 * count * max(aa, 1e-12)))
