@@ -15,7 +15,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED
 from bellows_ros.core.live.held_package import HeldPackage, stated_payload
-from bellows_ros.core.live.observing import ALARM_DURATION_NS, Observing
+from bellows_ros.core.live.observing import Observing
 from bellows_ros.core.live.tool_input import ToolInput
 from bellows_ros.core.live.tool_screening import REFUSALS, TwistSample
 from bellows_ros.core.live.uncertainty import Prediction
@@ -151,7 +151,7 @@ class LivePredictor:
         self.load: Load | None = None
         self.latest: Prediction | None = None
         self._begun_ns: int | None = None
-        self._trusted_ns = self._unsafe_ns = -1
+        self._unsafe_ns = -1
         self._moved_ns = -STOPPED_NS
         self._resting: Quaternion | None = None  # orientation of the tool when it last rested
 
@@ -248,7 +248,7 @@ class LivePredictor:
         return (self.state in ON_CUP and self.alarm is None and not self.is_above
                 and load is not None and load.grip is not None and not self.vacuum.is_wrong
                 and not observer.departs_from_file
-                and self.newest_ns >= max(self._unsafe_ns, self._trusted_ns)
+                and self.newest_ns >= self._unsafe_ns
                 and latest is not None and self._begun_ns is not None
                 and latest.stamp_ns - self._begun_ns >= PROVEN_NS
                 and self.phase(arrival_ns) in ('predicting', 'settling'))
@@ -358,7 +358,6 @@ class LivePredictor:
             self.tool.screen.forget_motion()
         else:
             self.tool.reset()
-            self._trusted_ns = -1
             if self.attached and self.state == LOST:
                 self._cycle.grip()
         self._forget_motion(SAME_PACKAGE if reason else CAMERA_ROWS)
@@ -500,8 +499,6 @@ class LivePredictor:
         if reason in REFUSALS:
             if reason in ('jump', 'millimetres'):
                 self._begun_ns = None
-            if reason == 'millimetres':
-                self._trusted_ns = stamp_ns + ALARM_DURATION_NS
             return []
         predictions: list[Prediction] = []
         if reason:

@@ -41,9 +41,6 @@ JUMP_TOLERANCE = (0.02, 0.2)
 JITTER = 0.025
 """Largest error of stamps, s, as of bursts of messages that are stamped on arrival."""
 
-MAX_STAMP_NS = 2**31 * NS_PER_S
-"""End of the stamps of a header, whose seconds have 32 bits, ns."""
-
 NEW_FRAME_NS = 150_000_000
 """Time of poses in another frame alone after which this frame is accepted, ns."""
 
@@ -60,22 +57,23 @@ class TwistSample(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """The pose with which the next one is compared."""
+    """A pose with which the next one is compared."""
 
     stamp_ns: int
     position: Vector
     quaternion_xyzw: Quaternion
-    period: float
+    period: float = 0.0
     """Time since the previous pose, s; 0 for the first, with the tool at rest."""
-    velocity: Vector
+    velocity: Vector = ZERO
     """Velocity since the previous pose in axes of the poses' frame, m/s."""
-    rate: Vector
+    rate: Vector = ZERO
     """Angular velocity since the previous pose in the tool's axes, rad/s."""
 
-    def step_to(self, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, Vector, Vector]:
-        """Return size relative to the limit of an arm, velocity and rate of a step to a pose."""
-        return pose_step(*self[1:3], self.velocity, self.rate, self.period, o, q,
-                         (stamp_ns - self.stamp_ns) / NS_PER_S)
+    def step_to(self, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, 'Reference']:
+        """Return the size of a step relative to the limit of an arm, and the pose at its end."""
+        seconds = (stamp_ns - self.stamp_ns) / NS_PER_S
+        size, v, w = pose_step(*self[1:3], *self[4:], self.period, o, q, seconds)
+        return size, Reference(stamp_ns, o, q, seconds, v, w)
 
 
 @kernel
@@ -182,9 +180,8 @@ class Screen(StampScreen):
         """Accept any next stamp and position, in the same frame."""
         self.forget_stamps()
         self._last: Reference | None = None
-        self._velocity = self._rate = ZERO  # of the step from there
         self._elsewhere: Reference | None = None  # newest of the rejected poses
-        self._run = 0
+        self._run, self._foreign_ns = 0, -1
 
     def judge(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
@@ -208,17 +205,13 @@ class Screen(StampScreen):
             the future; without it a late stamp counts as a pause.
 
         """
+        self._next = Reference(stamp_ns, position, quaternion_xyzw)
         reason = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
         if reason not in REFUSALS:
             if reason:
-                velocities = self._velocity, self._rate
                 self.forget_motion()
-                if reason == 'moved':
-                    self._velocity, self._rate = velocities
             self.accept_stamp(stamp_ns, arrival_ns, reason)
-            self.frame = frame_id or self.frame
-            self._last = Reference(stamp_ns, position, quaternion_xyzw, self.period_ns / NS_PER_S,
-                                   self._velocity, self._rate)
+            self.frame, self._last = frame_id or self.frame, self._next
             self._elsewhere, self._run, self._foreign_ns = None, 0, -1
         return reason
 
@@ -230,8 +223,6 @@ class Screen(StampScreen):
             return reason
         if stamp_ns <= 0:
             return 'zero_stamp'
-        if stamp_ns >= MAX_STAMP_NS:
-            return 'future_stamp'
         if frame_id != self.frame and not same_frame(self.frame, frame_id):
             if not 0 <= self._foreign_ns <= stamp_ns:
                 self._foreign_ns = stamp_ns
@@ -248,12 +239,12 @@ class Screen(StampScreen):
         other = self._elsewhere
         if other is not None:  # the period before the rejected poses may be a burst's
             last = last._replace(period=(stamp_ns - last.stamp_ns) / NS_PER_S)
-        excess, self._velocity, self._rate = last.step_to(stamp_ns, o, q)
+        excess, self._next = last.step_to(stamp_ns, o, q)
         if excess <= 1.0:
             return ''
-        self._elsewhere = Reference(stamp_ns, o, q, UNKNOWN_PERIOD, ZERO, ZERO)
+        self._elsewhere = Reference(stamp_ns, o, q, UNKNOWN_PERIOD)
         excess = math.inf
         if other is not None and stamp_ns > other.stamp_ns:
-            excess, self._velocity, self._rate = other.step_to(stamp_ns, o, q)
+            excess, self._next = other.step_to(stamp_ns, o, q)
         self._run = self._run + 1 if excess <= 1.0 else 1
         return 'moved' if self._run >= JUMP_RUN else 'jump'
