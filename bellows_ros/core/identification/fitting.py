@@ -22,7 +22,9 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.identification.causes import causes_of
 from bellows_ros.core.identification.estimate import (
+    GROSS_CHI2,
     MAX_NOISE_CHI2,
+    MAX_STEPS,
     minimise,
     no_report,
     Parts,
@@ -81,13 +83,7 @@ Fraction of its limit up to which K is known without its damping.
 
 With unknown damping, noise looks like the resonance of an axis that hardly moves: in 4 of 176 weak
 recordings K x or K rz was off by 6 to 1700 standard errors, and each standard error was above 9 %.
-"""
-
-LOADED_PARAMETER = 'K z'
-"""
-The stiffness that the weight loads: the sag shows it without motion.
-
-In a gripper the other cups load each stiffness of one cup.
+In a gripper the other cups damp each axis.
 """
 
 MIN_SQUARED_DISTANCE = -2.0 * math.log(1e-3)
@@ -125,7 +121,6 @@ def output_error(
     named: Sequence[str] = (),
     relaxation: str = 'off',
     given: Free = NOTHING,
-    other_start: Cup | None = None,
     richer: Structure | None = None,
     stretch: str = 'off',
     common: tuple[str, ...] = (),
@@ -153,8 +148,6 @@ def output_error(
         error if insignificant.
     given : mapping, optional
         Standard deviations of given quantities, the priors with which they are free.
-    other_start : Cup, optional
-        Second initial guess, for a search with an implausible end.
     richer : Structure, optional
         Structure that replaces the first one if its couplings are significant.
     stretch : str
@@ -175,9 +168,6 @@ def output_error(
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
     problem = replace(problem, free={**given, **free})
     found = minimise(problem, progress)
-    if not found.is_plausible and other_start is not None:
-        other = minimise(replace(problem, guess=other_start), progress)
-        found = other if other.is_plausible else found
     for extension in _extensions(richer, stretch, relaxation):
         wider = _tried(found, extension, progress)
         if wider is None and extension.refusal:
@@ -245,8 +235,8 @@ def _tried(found: Solution, extension: Extension, report: Report) -> Solution | 
 def _is_passive(found: Solution, _: Solution) -> bool:
     """Return whether the energy is positive definite in the usual range of stretch."""
     try:
-        require_stretch(found.cup.stiffness, _pair(found.problem.extended(
-            'stretch', found.theta)))
+        a, b = found.problem.extended('stretch', found.theta).tolist()
+        require_stretch(found.cup.stiffness, (a, b))
     except BellowsError:
         return False
     return True
@@ -291,18 +281,28 @@ def covariance_of(found: Solution) -> tuple[Array, Array]:
     The covariance is from a jackknife over seconds, at least that of the noise.
     """
     problem, H = found.problem, found.information
-    directions, pool = np.linalg.inv(np.linalg.cholesky(H.reduced)).T, problem.held.pool
-    counts, squares = zip(*pool.results(
+    directions = np.linalg.inv(np.linalg.cholesky(H.reduced)).T
+    counts, squares = zip(*found.parts.pool.results(
         _influences, list(map(H.block, range(len(problem.outlines)))),
         [np.vstack([directions, -carried @ directions]) for carried in H.carried],
         found.parts), strict=True)
-    scatter = np.maximum(1.0, _relative_variances(sum(counts), np.sum(squares, axis=0)))
+    count, scatter = sum(counts), np.sum(squares, axis=0)
+    if count > 1:  # part of it is common to all directions
+        scatter = scatter * count / (count - 1)
+        scatter = (COMMON_WEIGHT * np.median(scatter) + count * scatter) / (COMMON_WEIGHT + count)
+    scatter = np.maximum(1.0, scatter if count > 1 else 1.0)
     covariance = (directions * scatter) @ directions.T
     variances = H.variances_with(covariance, float(np.median(scatter))) * problem.units**2
     slopes = problem.slopes(found.theta)
     covariance = np.asarray(slopes @ covariance @ slopes.T)
     variances[:len(covariance)] = np.diag(covariance)
     return covariance, variances
+
+
+def _seconds(parts: Parts) -> tuple[Array, Array]:
+    """Return information (c, q, q) and slope (c, q) of each second of a recording."""
+    return tuple(np.concatenate([getattr(part, name) for part in parts])
+                 for name in ('information', 'slope'))  # type: ignore[return-value]
 
 
 def _influences(covariance: Array, directions: Array, parts: Parts) -> tuple[int, Array]:
@@ -312,8 +312,7 @@ def _influences(covariance: Array, directions: Array, parts: Parts) -> tuple[int
     The influence of a second is the shift of the estimates along directions (q, s), in standard
     deviations, if this second is left out.
     """
-    information, slope = (np.concatenate([getattr(part, name) for part in parts])
-                          for name in ('information', 'slope'))
+    information, slope = _seconds(parts)
     leverage = MAX_LEVERAGE * information @ covariance
     influences = np.linalg.solve(
         np.eye(len(covariance)) - leverage, slope[..., None])[..., 0] @ directions
@@ -336,23 +335,9 @@ def _without_last_fifth(found: Solution) -> Array:
 
 def _last_fifth(count: int, parts: Parts) -> tuple[Array, Array]:
     """Return information (p, p) and slope (p,) of the last fifth of a recording."""
-    information, slope = (np.concatenate([getattr(part, name) for part in parts])
-                          for name in ('information', 'slope'))
+    information, slope = _seconds(parts)
     last = slice(len(slope) - len(slope) // HELD_OUT, None)
     return information[last, :count, :count].sum(axis=0), slope[last, :count].sum(axis=0)
-
-
-def _relative_variances(count: int, squares: Array) -> Array:
-    """
-    Return the variances (s,) along directions relative to the noise model.
-
-    By the number of parts of the recordings and the sums (s,) of their squared influences.
-    """
-    if count < 2:
-        return np.ones(len(squares))
-    scatter = squares * count / (count - 1)
-    common = float(np.median(scatter))
-    return np.asarray((COMMON_WEIGHT * common + count * scatter) / (COMMON_WEIGHT + count))
 
 
 def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
@@ -360,9 +345,21 @@ def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
     problem, size, x = found.problem, found.problem.count, found.problem.reported(found.theta)
     covariance, from_given, std, identifiable, notes = _identifiable(found, given, named)
     own_std = np.where(identifiable, std, np.inf)
+    total_std = np.hypot(own_std, np.sqrt(np.pad(np.diag(from_given), (0, problem.own.size))))
     poses, used = np.sum([outline.poses for outline in problem.outlines], axis=0).tolist()
     information = found.information.shared[:size, :size]
-    fit = Fit(
+    of_law = {name: place[0] for name, place in problem.places.items() if name in OF_LAW}
+    if 'relaxation' in of_law:
+        notes += _assumed(problem.extended('relaxation', found.theta), covariance[np.ix_(
+            *[of_law['relaxation']] * 2)])
+    more: dict[str, Any] = {
+        key: {name: values[place] for name, place in problem.places.items()
+              if name not in OF_LAW}
+        for key, values in (('nuisances', x), ('nuisances_std', total_std))}
+    for name, place in of_law.items():
+        more |= {name: tuple(problem.extended(name, found.theta).tolist()),
+                 f'{name}_std': tuple(own_std[place].tolist())}
+    return Fit(
         method='output_error',
         structure=problem.structure.name,
         parameters=x[:size],
@@ -373,7 +370,7 @@ def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
         samples_rejected=poses - used,
         condition_number=inverted(information, np.sqrt(np.diag(information)))[2],
         residual_rms=np.sqrt(6.0 * found.total.residuals / found.total.number),
-        notes=tuple(notes),
+        notes=tuple(notes) if found.converged else (Finding('not_converged'),),
         misfit=Finding('misfit', Level.WARN, {'chi2': found.robust_chi2}) if (
             found.robust_chi2 > MAX_NOISE_CHI2) else None,
         chi2=found.total.squares / max(found.total.number - len(x), 1),
@@ -383,51 +380,19 @@ def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
         standstills=(len(problem.standstills), at_rest(
             problem.local, found.theta[problem.index(0)])[2]) if problem.standstills else None,
         noise_in_motion=found.noise_in_motion,
-        stretch=_pair(problem.extended('stretch', found.theta)),
         named=tuple(named),
-        **_of_quantities(problem, x, own_std, np.pad(
-            np.diag(from_given), (0, problem.own.size))))
-    if 'relaxation' in problem.places:
-        fit = _relaxed(fit, found, covariance)
-    return fit if found.converged else replace(fit, notes=(Finding('not_converged'),))
+        **more)
 
 
-def _of_quantities(
-    problem: Problem, x: Array, std: Array, from_given: Array
-) -> dict[str, Any]:
-    """
-    Return the fields of a fit on quantities beside K and P.
-
-    By their values (m,), standard errors (m,) by the recordings alone, and additional variances
-    (m,) by given quantities.
-    """
-    places, total_std = problem.places, np.sqrt(std**2 + from_given)
-    nuisances = {name: place for name, place in places.items()
-                 if name not in ('relaxation', 'stretch')}
-    return {
-        'nuisances': {name: x[place] for name, place in nuisances.items()},
-        'nuisances_std': {name: total_std[place] for name, place in nuisances.items()},
-        'stretch_std': _pair(std[places['stretch'][0]]) if (
-            'stretch' in places) else (0.0, 0.0)}
+OF_LAW = 'relaxation', 'stretch'
+"""Quantities that extend the law of the cup."""
 
 
-def _relaxed(fit: Fit, found: Solution, covariance: Array) -> Fit:
-    """Return a fit with the strengths of relaxation, and a note if a prior gives their ratio."""
-    (place,) = found.problem.places['relaxation']
-    strengths, of_strengths = found.problem.extended(
-        'relaxation', found.theta), covariance[place][:, place]
+def _assumed(strengths: Array, covariance: Array) -> list[Finding]:
+    """Return a finding if the prior gives the ratio of strengths of relaxation (2,)."""
     ratio = np.array([-DEFAULT_RATIO, 1.0])
-    is_assumed = np.sqrt(ratio @ of_strengths @ ratio) > 0.7 * RATIO_STD * strengths[0]
-    return replace(
-        fit, relaxation=_pair(strengths), relaxation_std=_pair(np.sqrt(np.diag(of_strengths))),
-        notes=(*fit.notes, *[Finding(
-            'no_hold')] * bool(is_assumed)))
-
-
-def _pair(values: Array) -> tuple[float, float]:
-    """Return two numbers as a tuple."""
-    first, second = values.tolist()
-    return first, second
+    is_assumed = np.sqrt(ratio @ covariance @ ratio) > 0.7 * RATIO_STD * strengths[0]
+    return [Finding('no_hold')] * bool(is_assumed)
 
 
 def _identifiable(
@@ -442,20 +407,19 @@ def _identifiable(
     problem, size = found.problem, found.problem.count
     covariance, variances = covariance_of(found)
     of_given = _of_given(found, given)
-    by_given = np.pad(np.diag(of_given), (0, problem.own.size))
     largest = np.full(len(variances), np.inf)
     largest[:size] = MAX_RELATIVE_ERROR * problem.structure.sizes(
         found.cup.stiffness, found.cup.damping)
     for name in named:
         largest[problem.places[name]] = KINDS[name].max_std
-    std = np.sqrt(np.maximum(variances - by_given, 0.0))
-    total = np.where(np.arange(len(std)) < size, np.hypot(std, np.sqrt(by_given)), std)
+    variances -= np.pad(np.diag(of_given), (0, problem.own.size))
+    std = np.sqrt(np.maximum(variances, 0.0))
+    total = std.copy()
+    total[:size] = np.sqrt(std[:size]**2 + np.diag(of_given)[:size])
     identifiable = (total <= largest) & found.converged
     of_K, of_P = slice(size // 2), slice(size // 2, size)
-    is_loaded = np.array([label == LOADED_PARAMETER or bool(problem.structure.places)
-                          for label in problem.structure.labels])
-    identifiable[of_K] &= (
-        identifiable[of_P] | (is_loaded | (std <= MAX_NOISY_ERROR * largest)[:size])[of_K])
+    identifiable[of_K] &= identifiable[of_P] | (std <= MAX_NOISY_ERROR * largest)[of_K] | bool(
+        problem.structure.places)
     notes = [_unidentifiable(problem, problem.structure.labels[i], *(
         float(numbers[i]) for numbers in (std / largest, total / largest)))
              for i in np.flatnonzero(~identifiable[:size])]
@@ -509,17 +473,11 @@ def registered(
 
 Progress = Callable[[str, float], None]
 
-TYPICAL_STEPS = 12
-"""Typical number of steps of a fit by simulation."""
-
 MAX_DAMPING_STD = 0.25
 """Largest relative standard error of the most certain damping of a moving cup."""
 
 UNLOADED_PARAMETER = 'K rz'
 """The stiffness that no weight loads: it also shows that the cup moves."""
-
-MAX_MISFIT_TO_NOISE = 2.0
-"""Largest ratio of misfit and noise for output error, in residuals and standstills."""
 
 Pair = tuple[Segments, Statistics]
 """The segments of a recording, empty for least squares, and its statistics."""
@@ -576,7 +534,7 @@ def fit(
         return replace(result, notes=(*result.notes, Finding('not_freed', Level.WARN, {
             'names': ', '.join(unknown)})))
     _require_motion(result)
-    if result.standstills and result.standstills[1] > MAX_MISFIT_TO_NOISE**2:
+    if result.standstills and result.standstills[1] > GROSS_CHI2:
         result = replace(result, notes=(
             *result.notes, Finding('disagreement', Level.WARN, {'chi2': result.standstills[1]})))
     return result
@@ -585,8 +543,7 @@ def fit(
 def _require_motion(result: Fit) -> None:
     """Raise if the recordings determine no entry of P."""
     largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
-    explained = max(result.chi2 or 0.0, result.robust_chi2 or 0.0) <= (
-        MAX_MISFIT_TO_NOISE**2) and not any(
+    explained = max(result.chi2 or 0.0, result.robust_chi2 or 0.0) <= GROSS_CHI2 and not any(
         cause.certain for cause in result.causes)  # otherwise errors of the misfit
     certain = [label for label, value, std in zip(
         result.labels, result.parameters, np.sqrt(np.diag(result.covariance)), strict=True)
@@ -604,7 +561,7 @@ def _report(progress: Progress, steps: Iterator[int], cup: Cup, chi2: float) -> 
     step = next(steps)
     K, P = (' '.join(f'{x:.3g}' for x in np.diag(matrix))
             for matrix in (cup.stiffness, cup.damping))
-    progress(f'step {step}: chi^2 {chi2:.4g}; K {K}, P {P}', step / (step + TYPICAL_STEPS))
+    progress(f'step {step}: chi^2 {chi2:.4g}; K {K}, P {P}', min(step / max(MAX_STEPS), 1.0))
 
 
 def fitted(
@@ -623,7 +580,7 @@ def fitted(
     structure, sums = given_structure(values), pairs.pool.results(itemgetter(1), pairs)
     if values.fit.method == 'least_squares':
         return least_squares(sums)
-    start = given = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
+    start = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
     parts = [reduced(recording, values.cup.length) for recording in recordings]
     if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
         start = start_cup(sums, start)
@@ -632,7 +589,7 @@ def fitted(
     return output_error(
         pairs.pool.keep(itemgetter(0), pairs), structure, start,
         partial(_report, progress, count(1)) if progress else no_report, weak_prior(named), named,
-        values.fit.relaxation, {} if exactly else given_std(values), given,
+        values.fit.relaxation, {} if exactly else given_std(values),
         richest_structure(values) if values.fit.structure == AUTO else None,
         'off' if structure.places else values.fit.stretch,
         MARKERS if values.recording.marker == 'shared' else (), standstills)

@@ -31,7 +31,13 @@ from bellows_ros.core.identification.segments import (
     ROW_NS,
     Segment,
 )
-from bellows_ros.core.identification.unknowns import delayed, gravity_of, payload_of, Problem
+from bellows_ros.core.identification.unknowns import (
+    delayed,
+    DIFFERENCE,
+    gravity_of,
+    payload_of,
+    Problem,
+)
 from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import linearise
@@ -44,9 +50,6 @@ from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
-
-PADDING = 1.0
-"""Length of zeros behind a series, s: a swing decays before the series begins again."""
 
 
 def noise_spectrum(noise: BodyNoise, period: float, frequency: Array) -> Array:
@@ -77,7 +80,7 @@ class Filters(NamedTuple):
     def of(cls, problem: Problem, theta: Array, segment: Segment, course: Course) -> 'Filters':
         """Return the filters of a segment about its first rest; theta is local."""
         period, count = segment.bin_ns / NS_PER_S, len(segment.bins_ns)
-        padded = 2 * ((count + round(PADDING / period) + 1) // 2)
+        padded = 2 * ((count + round(BLOCK_DURATION / period) + 1) // 2)
         frequency = np.asarray(np.fft.rfftfreq(padded, period), np.float64)
         G, path = _responses(problem, theta, segment, course, frequency)
         of_package, of_tool = (noise_spectrum(noise, step, frequency) / period for noise, step in (
@@ -125,9 +128,6 @@ START_STD = np.repeat([0.05, 0.3, 0.5, 3.0], 3)
 """Standard deviation of the package's first state about rest on the tool: wider than any swing,
 m, rad, m/s and rad/s."""
 
-DIFFERENCE = 1e-5
-"""Steps of unknowns for derivatives, in logarithms and standard deviations of the first state."""
-
 QUANTITY_DIFFERENCE = 1e-3
 """Steps of other unknowns for derivatives, in their units."""
 
@@ -161,7 +161,8 @@ PATH_PART = 0.5
 between -3 and 1, as the cup is not linear, then decay."""
 
 BLOCK_DURATION = 1.0
-"""Length of the parts of a recording whose information is stored, s: some periods of a swing."""
+"""Length of the parts of a recording whose information is stored, and of the zeros behind a
+series, s: some periods of a swing, which decays before the series begins again."""
 
 WHITE_SIGMAS = 4.0
 """Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""

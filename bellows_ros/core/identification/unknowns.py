@@ -22,7 +22,12 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
-from bellows_ros.core.identification.result import Arrow, MAX_RELATIVE_ERROR, symmetric_roots
+from bellows_ros.core.identification.result import (
+    Arrow,
+    CHANCE,
+    MAX_RELATIVE_ERROR,
+    symmetric_roots,
+)
 from bellows_ros.core.identification.segments import (
     Held,
     here,
@@ -202,10 +207,14 @@ DAMPING_LOG_STD = 1.0
 LOSS_FACTOR = 0.25
 """Loss factor of ordinary rubber, the prior of the damping; an undamped cup would fit noise."""
 
+DIFFERENCE = 1e-5
+"""Steps of unknowns for derivatives, in logarithms and standard deviations of the first state: of
+the order of the root of rounding in poses."""
+
 MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
-MIN_DAMPING = 1e-3
+MIN_DAMPING = math.exp(-CHANCE * DAMPING_LOG_STD)
 """Smallest damping of the first cup, relative to ordinary damping: zero has no logarithm."""
 
 
@@ -396,7 +405,7 @@ class Problem:
 
     def slopes(self, theta: Array) -> Array:
         """Return the derivatives (s, s) of the reported shared numbers by the unknowns."""
-        slopes, step = np.diag(self.units[:self.shared]), 1e-5
+        slopes, step = np.diag(self.units[:self.shared]), DIFFERENCE
         for j in range(self.count):
             ends = (self.reported(theta + side * step * np.eye(1, len(theta), j)[0])
                     for side in (1.0, -1.0))
@@ -468,25 +477,19 @@ class Problem:
         P = LOSS_FACTOR * root @ symmetric_roots(inverse @ stiffness @ inverse)[0] @ root
         return self.structure.matrices(self.structure.parameters(stiffness, P))[1]
 
-    def largest_damping(self, theta: Array) -> float:
-        """Return the largest ratio of a cup's damping to ordinary damping over all directions."""
-        K, P = self._matrices(theta)
-        inverse = symmetric_roots(self.ordinary_damping(K))[1]
-        return float(np.linalg.eigvalsh(inverse @ P @ inverse)[-1])
-
     def prior(self, theta: Array) -> tuple[Arrow, Array]:
         """Return information (m, m) and slope (m,) of the prior."""
         own = self.weights[self.own]
         H, (recordings, count) = np.diag(self.weights[:self.shared]), self.own.shape
         g = self.weights * (self.start - theta)
         g[:self.count] = 0.0
-        for J, deviation in self._wide_priors(theta):
+        for J, deviation in self.wide_priors(theta):
             H += J.T @ J
             g[:self.shared] -= J.T @ deviation
         return Arrow(H, np.zeros((recordings, count, len(H))), own[:, :, None] * np.eye(count),
                      self.own), g
 
-    def _wide_priors(self, theta: Array) -> Iterator[tuple[Array, Array]]:
+    def wide_priors(self, theta: Array) -> Iterator[tuple[Array, Array]]:
         """
         Yield derivatives (n, s) and sizes (n,) of deviations in standard deviations.
 
