@@ -4,9 +4,7 @@ import os
 import subprocess
 import sys
 
-from bellows_ros.errors import BellowsError
 from bellows_ros.nodes import domain
-import pytest
 
 SEEKER = """
 import sys
@@ -27,13 +25,6 @@ def test_seekers_at_the_same_time_find_different_domains():
         seeker.communicate()
     assert len(set(found)) == 8
     assert all(1 <= number <= domain.DOMAINS for number in found)
-
-
-def test_the_search_ends_where_all_are_taken(monkeypatch):
-    """Say so instead of sharing one."""
-    monkeypatch.setattr(domain, 'DOMAINS', 0)
-    with pytest.raises(BellowsError):
-        domain.unused_domain()
 
 
 def test_what_reaches_other_machines_is_dropped(monkeypatch):

@@ -183,19 +183,3 @@ def test_reference_is_current(name, root):
     reference = load('reference')
     page = root / 'docs' / 'reference' / name
     assert page.read_text() == reference.text_of(name), 'run: make reference'
-
-
-def test_the_first_page_leads_to_every_page(root):
-    """Link each in the text of the index, where GitHub shows no table of contents."""
-    docs = root / 'docs'
-    text = (docs / 'index.md').read_text()
-    pages = [path for path in PAGES.pages() if docs in path.parents and path.name != 'index.md']
-    links = {str(path.relative_to(docs)) for path in pages}
-    assert [link for link in links if f']({link})' not in text] == []
-
-
-def test_guides_name_every_command(root):
-    """Lead to each command from a page other than the reference."""
-    docs = root / 'docs'
-    text = ''.join(page.read_text() for page in [root / 'README.md', *docs.glob('*.md')])
-    assert [name for name in app.commands if f'bellows {name}' not in text] == []
