@@ -147,7 +147,10 @@ class PredictorNode(ManagedNode):
         """Log the final counts, end the threads, and destroy the configured parts."""
         if self.pipeline:
             self.pipeline.planning.forget()
-            self.get_logger().info(health.summary(self.pipeline.live))
+            live = self.pipeline.live
+            self.get_logger().info(', '.join(
+                f'{count} {what}' for what, count in {**live.counts, **live.refused}.items()
+                if count))
             if self.pipeline.compiler:
                 self.pipeline.compiler.terminate()
                 self.pipeline.compiler.wait()
@@ -217,6 +220,9 @@ class PredictorNode(ManagedNode):
             self.pipeline.use_values()
 
 
+LOG_DELAY = 5.0
+"""Duration of silence before it is logged, s."""
+
 LOG_INTERVAL = 30.0
 """Time before a fault is logged again, s."""
 
@@ -260,7 +266,7 @@ class Diagnostics:
             code, key = line.finding.code, (line.name, line.finding.code, line.level)
             if line.level == Level.OK or code in UNLOGGED or code.startswith('alarm_'):
                 continue
-            if now >= self._due.get(key, 0.0):
+            if now >= self._due.setdefault(key, now + LOG_DELAY * (code == 'silent')):
                 self._due[key] = now + LOG_INTERVAL
                 text = shown(line.message, MAX_MESSAGE)
                 log.error(text) if line.level == Level.ERROR else log.warning(text)
@@ -288,7 +294,6 @@ class Diagnostics:
             return [line]
         of_twists = {k: n for k, n in live.refused.items() if k.startswith('twist_')}
         of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
-        of_twists.pop('twist_unpaired')  # no fault if twists come more often than poses
         twist_in, poses = pipeline.twist_in, pipeline.pose_in.report(of_poses)
         twists = twist_in.report(of_twists) if twist_in else poses._replace(
             refused={}, total_refused=of_twists)

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.live.predictor import LivePredictor
 from bellows_ros.core.live.vacuum import Load
 from bellows_ros.core.model.grip import safety_finding
 from bellows_ros.core.model.validity_range import FLAT_MOMENT_BENDING
@@ -253,13 +252,3 @@ def load_status(name: str, load: Load) -> Status:
             found = fact('state', Level.OK, state='Within all known limits' if (
                 safety or excess) else 'No package is held')
     return Status(name, found, values)
-
-
-def summary(live: LivePredictor) -> str:
-    """Return all counts of a predictor in one sentence."""
-    refused, tool = live.refused, live.tool
-    reasons = ', '.join(f'{count} {name}' for name, count in refused.items() if count)
-    return (
-        f'{tool.poses} poses and {tool.twists} twists in, {live.predictions} predictions '
-        f'out, {sum(refused.values())} refused{f" ({reasons})" if reasons else ""}, '
-        f'{tool.motion.estimated} twists estimated.')

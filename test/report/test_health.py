@@ -2,7 +2,6 @@
 
 import math
 
-from bellows_ros.core.live import vacuum
 from bellows_ros.core.live.vacuum import Load
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.report import health
@@ -45,7 +44,7 @@ def of_prediction(**changes):
 
 def of_load(factor, bending):
     load = Load(resolve({'cup.lip_radius': 0.02, 'vacuum.holding': 6e4 if factor else 0.0}))
-    load.reset = lambda: (factor and vacuum.Safety(factor, 'peel'), None, bending)
+    load.reset = lambda: (factor and (factor, 'peel'), None, bending)
     return health.load_status('x', load)
 
 

@@ -18,7 +18,6 @@ from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.kernels import ModelTuple, State, Wrench
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.observer import Observer
-from bellows_ros.core.observer.pose_sensor import Measurement
 from bellows_ros.core.observer.results import Payload
 from bellows_ros.core.observer.states import ANOTHER_PACKAGE, SAME_PACKAGE
 from bellows_ros.core.parameters.conversion import package_of, stated_std
@@ -153,20 +152,6 @@ class HeldPackage:
         self.observer.start(*self.sample, body)
         if self.settling.is_known:
             self.observer.settle(self.settling.error_at)
-
-    def correct(self, measurement: Measurement, since_ns: int = 0) -> None:
-        """Correct the package with a measured pose, some time (ns) after the newest sample."""
-        self.observer.update(measurement, since_ns)
-
-    def feel(self, stamp_ns: int, wrench: Wrench, in_world: bool) -> str:
-        """Correct the package with a wrench in sensor or world axes; return why not, or ''."""
-        observer, sample = self.observer, self.sample
-        if sample is None:
-            return 'not_held'
-        if in_world:
-            force, moment = (observer.wrenches.in_own_axes(sample.tool, each) for each in wrench)
-            wrench = force, moment
-        return observer.on_wrench(stamp_ns, wrench)
 
     def forget(self, kept: tuple[int, ...] = ANOTHER_PACKAGE) -> None:
         """Restart from rest at the next tool sample, with the estimates in given rows kept."""

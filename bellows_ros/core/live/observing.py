@@ -94,7 +94,7 @@ class Observing:
         elif not (observer.sensor.has_own_world or in_frame):
             observer.counts['frame_id'] += 1
         else:
-            self._package.correct(measurement, since_ns)
+            observer.update(measurement, since_ns)
             return True
         return False
 
@@ -102,8 +102,12 @@ class Observing:
         """Correct the package by a wrench; return the reason of a rejection, or ''."""
         if not math.isfinite(sum(map(sum, wrench))):
             return 'nan'
-        if newest_ns < 0:
+        if (sample := self._package.sample) is None:
             return 'not_held'
         if stamp_ns - newest_ns > MAX_AHEAD_NS:
             return 'future_stamp'
-        return self._package.feel(stamp_ns, wrench, in_world)
+        observer, (force, moment) = self._package.observer, wrench
+        if in_world:
+            turned = observer.wrenches.in_own_axes
+            force, moment = turned(sample.tool, force), turned(sample.tool, moment)
+        return observer.on_wrench(stamp_ns, (force, moment))

@@ -50,8 +50,7 @@ class ToolInput:
     @property
     def refused(self) -> dict[str, int]:
         """Counts of rejected messages, by reason."""
-        return {**self._counts, 'twist_misses_pose': self.motion.missed,
-                'twist_unpaired': self.pairing.unpaired}
+        return {**self._counts, 'twist_misses_pose': self.motion.missed}
 
     def expect_twists(self, expected: bool) -> None:
         """Set whether poses wait for twists; received twists change this setting."""

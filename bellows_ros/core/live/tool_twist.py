@@ -51,7 +51,6 @@ class Pairing:
 
     def __init__(self) -> None:
         self.expect = False
-        self._pairs = self._received = 0
         self.clear()
 
     def clear(self) -> None:
@@ -67,11 +66,6 @@ class Pairing:
         """Number of poses that wait for their twist."""
         return len(self._poses)
 
-    @property
-    def unpaired(self) -> int:
-        """Number of twists without a matching pose."""
-        return max(0, self._received - self._pairs - len(self._twists))
-
     def add_pose(self, pose: PoseSample) -> None:
         """Queue a pose; stamps increase."""
         self._newest_ns = pose.stamp_ns
@@ -80,7 +74,7 @@ class Pairing:
 
     def add_twist(self, twist: TwistSample) -> None:
         """Queue a twist, or let poses wait if its pose has been released without it."""
-        stamp_ns, twists, self._received = twist.stamp_ns, self._twists, self._received + 1
+        stamp_ns, twists = twist.stamp_ns, self._twists
         while twists and twists[-1].stamp_ns > max(stamp_ns, self._newest_ns + MAX_WAIT_NS):
             twists.pop()  # their stamps were wrong
         if twists and stamp_ns <= twists[-1].stamp_ns:
@@ -113,7 +107,6 @@ class Pairing:
                 self.expect = False
             self._poses.popleft()
             self._released_ns = pose.stamp_ns
-            self._pairs += twist is not None
             yield pose, twist
 
     def _twist_of(self, stamp_ns: int) -> TwistSample | None:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 import math
 import re
-from typing import NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
@@ -72,14 +71,6 @@ def equivalent_box(values: Values) -> Vector:
     return x, y, z
 
 
-class Safety(NamedTuple):
-    """The smallest safety factor of the grip, and its mode."""
-
-    factor: float
-    mode: str
-    """'peel' or 'slip', for a gripper with the cup."""
-
-
 class Load:
     """
     Smallest safety factor of predictions, and their largest distance from the validity range.
@@ -114,7 +105,7 @@ class Load:
         self._clear()
 
     def _clear(self) -> None:
-        self._safety: Safety | None = None
+        self._safety: tuple[float, str] | None = None
         self._distance: Distance | None = None
         self._bending = 0.0
 
@@ -146,8 +137,8 @@ class Load:
             peel, slip, peeling, slipping = least_factors(
                 self.grip, model[0], *lip, prediction.strains, f, m)
         for mode, (factor, row) in enumerate(((peel, peeling), (slip, slipping))):
-            if self._safety is None or factor < self._safety.factor:
-                self._safety = Safety(factor, mode_name(self.grip, mode, row))
+            if self._safety is None or factor < self._safety[0]:
+                self._safety = factor, mode_name(self.grip, mode, row)
         return peel, slip
 
     def watch_deflection(self, model: ModelTuple, prediction: Prediction) -> None:
@@ -169,8 +160,8 @@ class Load:
             return float(self._values.vacuum.holding)
         return max(AMBIENT - self.pressure, 0.0)
 
-    def reset(self) -> tuple[Safety | None, Distance | None, float]:
-        """Return safety factor, distance and largest bending (rad) since the last call."""
+    def reset(self) -> tuple[tuple[float, str] | None, Distance | None, float]:
+        """Return safety factor with its mode, distance and bending (rad) since the last call."""
         extremes = self._safety, self._distance, self._bending
         self._clear()
         return extremes
