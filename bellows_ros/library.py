@@ -444,8 +444,7 @@ def toss(
     release : float, optional
         Time of the valve, s since the first point of the motion.
     target : (x, y), optional
-        Target of B, m, for which the time of the valve is searched. With a `release` as well,
-        `distance_as_asked` is the distance (m) of its landing from the target.
+        Target of B, m, for which the time of the valve is searched.
     target_rotation : array_like (4,) or Rotation, optional
         Orientation wanted at the landing: a quaternion (x, y, z, w) or a SciPy rotation.
 

@@ -198,8 +198,6 @@ def print_toss(result: TossResult, out: Any) -> None:
     mode = 'its lip peels' if result.mode == 'peel' else (
         'its suction is blown off' if case.release.law[3] else 'an assumed delay' if (
             result.assumed) else 'after the delay')
-    asked = result.distance_as_asked
-    gain = '' if asked is None else f'instead of {MILLI * asked:.1f} mm with --release'
     lost = result.scatter.failed
     out.table([
         ('valve', f'{case.switched:.4f} s', ''),
@@ -211,7 +209,7 @@ def print_toss(result: TossResult, out: Any) -> None:
           for axis, x, error in zip('xy', toss.landing[0], std, strict=False)),
         ('turned by', f'± {math.degrees(float(np.linalg.norm(std[3:]))):.2g} deg', ''),
         ('tumbling at', quantity(toss.tumbling, 0.0, 'deg/s'), ''),
-        *([('target away', quantity(aim.distance, 0.0, 'mm'), gain)] if aim else ()),
+        *([('target away', quantity(aim.distance, 0.0, 'mm'), '')] if aim else ()),
         *([('turned from target', quantity(aim.angle, 0.0, 'deg'), '')]
           if aim and aim.angle else ())],
         title='Toss')

@@ -19,7 +19,6 @@ from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import (
-    IN_DEGREES,
     noise_of,
     RecordedPoses,
     twist_errors,
@@ -288,12 +287,12 @@ def _with_roles(
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
     pair = max(filter(None, pairs), key=lambda pair: pair.score, default=None)
     tool, package = (pair.tool, pair.package) if pair else _roles_by_name(poses)
-    twist, in_degrees = _twist_of(poses[tool.topic], twists) if tool else (None, False)
+    twist = _twist_of(poses[tool.topic], twists) if tool else None
     settings: dict[str, Any] = {
         'bags': (os.fspath(path),),
         **{f'topics.{role}': guess.topic for role, guess in
            (('tool_pose', tool), ('package_pose', package)) if guess},
-        **({'topics.tool_twist': ''} if twist is None or in_degrees else
+        **({'topics.tool_twist': ''} if twist is None else
            {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}),
         **next(({'vacuum.signal': signal} for signal, (kind, name) in SIGNALS.items()
                 for topic in described if topic.type_name == kind
@@ -306,22 +305,22 @@ def _with_roles(
     if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
-        findings = _both_bodies(pair, streams, settings, findings)
+        findings = _both_bodies(
+            pair, streams, twist and twists[twist.topic], settings, findings)
     else:
         findings.append(Finding('needs_both_poses'))
-    if in_degrees and twist:
-        findings.insert(0, Finding('twists', Level.WARN, {'cause': IN_DEGREES}, twist.topic))
     return Info(str(Path(path)), described, tool, package, twist, settings, tuple(findings))
 
 
 def _both_bodies(
-    pair: Pair | None, streams: Sequence[PoseStream], settings: dict[str, Any],
-    findings: list[Finding]
+    pair: Pair | None, streams: Sequence[PoseStream], twist: TwistStream | None,
+    settings: dict[str, Any], findings: list[Finding]
 ) -> list[Finding]:
     """Add settings on both poses; return the findings."""
     tool, package = streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
-    remarked = pose_remarks(RecordedPoses(tool, package, R))
+    remarked = pose_remarks(RecordedPoses(
+        tool, package, R, twist=twist, twist_frame=settings.get('tool_twist.frame', 'world')))
     found = [remark for remark in remarked if remark.code != 'tool_z']  # has a setting
     is_wrong = any(each.level == Level.ERROR for each in found)
     separate = None if is_wrong else _why_separate(pair, tool, package)
@@ -468,25 +467,14 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
         distance, float(high - low), score)
 
 
-def _twist_of(
-    tool: PoseStream, twists: Mapping[str, TwistStream]
-) -> tuple[Guess | None, bool]:
-    """
-    Return the topic whose velocity matches the tool's poses, and whether it is in degrees.
-
-    If the tool hardly moves, the topic with the stamps of the tool's poses is returned.
-    """
-    matches = {name: twist_errors(tool, twist) for name, twist in twists.items()}
-    compared = [(min(errors.values()), name) for name, (errors, _) in matches.items() if errors]
-    error, name = min(compared, default=(np.inf, ''))
-    if error < TWIST_TOLERANCE:
-        errors, in_degrees = matches[name]
-        # without rotation of the tool both agree, and the usual one is selected
-        frame = 'world' if errors['world'] <= 1.2 * errors['tool'] else 'tool'
-        why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
-        return Guess(name, (why,), frame), in_degrees
-    for name, (errors, in_degrees) in matches.items():
-        if not errors and np.mean(np.isin(twists[name].stamps_ns, tool.stamps_ns)) > 0.5:
-            why = 'it has the stamps of the tool, which moves too little to determine its axes'
-            return Guess(name, (why,), 'world'), in_degrees
-    return None, False
+def _twist_of(tool: PoseStream, twists: Mapping[str, TwistStream]) -> Guess | None:
+    """Return the topic whose velocity matches the tool's poses, if any."""
+    errors = {name: found for name, twist in twists.items()
+              if (found := twist_errors(tool, twist)[0])}
+    name = min(errors, key=lambda name: min(errors[name].values()), default='')
+    if not name or (error := min(errors[name].values())) > TWIST_TOLERANCE:
+        return None
+    # without rotation of the tool both agree, and the usual one is selected
+    frame = 'world' if errors[name]['world'] <= 1.2 * errors[name]['tool'] else 'tool'
+    why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
+    return Guess(name, (why,), frame)

@@ -61,8 +61,6 @@ class TossResult(plan.OfPlan):
     per_millisecond: float
     """Shift of the landing per millisecond of the valve, m."""
     aim: landing.Aim | None
-    distance_as_asked: float | None
-    """Distance (m) from the target, if any, with the valve at the given time."""
 
     @property
     def assumed(self) -> bool:
@@ -120,9 +118,7 @@ class TossResult(plan.OfPlan):
         if self.aim is not None:
             content['target'] = {
                 'position': list(self.aim.target), 'valve_time': self.aim.switched,
-                'distance': self.aim.distance, 'angle': self.aim.angle,
-                'distance_as_asked': self.distance_as_asked,
-                'units': {'distance_as_asked': 'm'}}
+                'distance': self.aim.distance, 'angle': self.aim.angle}
         return content
 
     @property
@@ -232,10 +228,8 @@ def toss_plan(
             'plan in a world with z up.')
     progress('following the plan')
     held = HeldMotion(source.model, source.grip, source.tool)
-    aim = distance = None
+    aim = None
     if target is not None:
-        if switched is not None:
-            distance = math.dist(toss(held, release, switched).landing[0][:2], target)
         rotation = None if target_rotation is None else quaternion_to_rotation(target_rotation)
         aim = landing.aim(held, release, target, rotation)
         switched = aim.switched
@@ -248,7 +242,7 @@ def toss_plan(
     later = release._replace(law=(release.law[0] + 1e-3, *release.law[1:]))
     shift = math.dist(toss(held, later, switched).landing[0], nominal.landing[0])
     return TossResult(
-        source, case, nominal, landing.scatter(case, nominal), shift, aim, distance)
+        source, case, nominal, landing.scatter(case, nominal), shift, aim)
 
 
 # ----------------------------------------------------------------------- release from drops
