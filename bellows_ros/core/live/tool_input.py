@@ -50,7 +50,8 @@ class ToolInput:
     @property
     def refused(self) -> dict[str, int]:
         """Counts of rejected messages, by reason."""
-        return {**self._counts, 'twist_misses_pose': self.motion.missed}
+        return {**self._counts, 'twist_misses_pose': self.motion.missed,
+                'twist_stamp': self.pairing.refused}
 
     def expect_twists(self, expected: bool) -> None:
         """Set whether poses wait for twists; received twists change this setting."""

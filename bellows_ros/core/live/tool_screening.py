@@ -19,7 +19,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, same_frame
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
     'future_stamp', 'frame_id', 'jump', 'millimetres', 'twist_nan', 'twist_too_fast',
-    'twist_misses_pose')
+    'twist_misses_pose', 'twist_stamp')
 """Reasons for rejecting poses and twists of the tool."""
 
 JUMP_RUN = 5

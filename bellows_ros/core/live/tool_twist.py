@@ -46,11 +46,13 @@ class Pairing:
     expect : bool
         Whether a pose waits for its twist. Set by callers that know of a publisher of twists, and
         by twists that come soon after their poses.
+    refused : int
+        Number of twists with a stamp in the future, or not after an earlier one.
 
     """
 
     def __init__(self) -> None:
-        self.expect = False
+        self.expect, self.refused = False, 0
         self.clear()
 
     def clear(self) -> None:
@@ -77,7 +79,9 @@ class Pairing:
         stamp_ns, twists = twist.stamp_ns, self._twists
         while twists and twists[-1].stamp_ns > max(stamp_ns, self._newest_ns + MAX_WAIT_NS):
             twists.pop()  # their stamps were wrong
+            self.refused += 1
         if twists and stamp_ns <= twists[-1].stamp_ns:
+            self.refused += 1
             return
         last_ns = twists[-1].stamp_ns if twists else self._before.stamp_ns if self._before else -1
         is_soon = stamp_ns - last_ns <= MAX_SPAN_NS or (
@@ -90,6 +94,8 @@ class Pairing:
         self.expect |= self._newest_ns - stamp_ns <= MAX_WAIT_NS
         if self._before is None or stamp_ns > self._before.stamp_ns:
             self._before = twist
+        else:
+            self.refused += 1
 
     def release_waiting_poses(self) -> None:
         """Release all waiting poses without their twists."""

@@ -84,6 +84,7 @@ def test_a_lost_or_future_twist_does_not_block_poses(ahead_ns):
             pairing.add_twist(twist(k * MS))
         out += pairing.ready()
     assert all(v is not None for _, v in out) and len(out) == 49
+    assert pairing.refused == bool(ahead_ns)
 
 
 def test_random_arrivals_lose_no_pose_and_keep_the_order():
