@@ -104,7 +104,8 @@ def stiffness_std(values: Values) -> Array:
 
     def distance(name: str, place: int) -> float:
         value = values.get(name, 0.0)
-        low, high = values.cup.valid_low[place], values.cup.valid_high[place]
+        low, high = (values.get(f'cup.valid_{end}', (0.0,) * 14)[place] for end in (
+            'low', 'high'))
         return max(low - value, value - high, 0.0) if high > 0.0 and value > 0.0 else 0.0
 
     # relative change per kg, without and with stretch
