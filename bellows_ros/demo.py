@@ -112,7 +112,7 @@ def _compare(bag: Path, values: Values, predicted: Trajectory, picture: Path) ->
         print(f'{name}:', ', '.join(f'{x:.4g} ± {std:.2g}' for x, std in zip(
             values[name][::7], values[f'{name}_std'][::7], strict=True)))
     print('\nThe package relative to the tool, predicted live minus measured (RMS):')
-    limits = np.repeat([recorded.noise.package.position, recorded.noise.package.rotation], 3)
+    limits = np.repeat(recorded.noise[1], 3)
     for axis, unit, factor, rms, part, noise in zip(
             residuals.AXES, residuals.DISPLAY_UNITS, residuals.DISPLAY_FACTORS, found.scores.rms,
             found.scores.nrmse, limits, strict=True):

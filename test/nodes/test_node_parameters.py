@@ -83,7 +83,7 @@ def test_values_are_used_at_once_and_doubts_are_logged(node, caller, capfd):
     ('package.com', '[0, 0, x]', ''), ('package.mass', '2,5', ''), ('cup.stifness', K, ''),
     ('tool_link', 'a\x1b[31mb', r"'a\x1b[31mb'"), ('tool_twist.frame', 'tool', ''),
     ('bags', ['a'], ''), ('wrench.frame', '1e300 0 0 0 0 0 1', 'wrench.frame'),
-    ('gripper.inertia', [-1e6] * 6, 'gripper.inertia')])
+    ('gripper.com', [-1e6] * 3, 'gripper.com')])
 def test_a_bad_value_is_refused_in_words(name, value, named, node, caller):
     """In printable characters, before it is in use; the node goes on."""
     before = node.values

@@ -490,7 +490,7 @@ def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
         segments_of(recording, number) if is_simulated else (),
         recording.cached(('statistics', values.cup.length, structure), partial(
             statistics, samples_of(recording), values.cup.length, structure,
-            recording.noise)))
+            [*zip(recording.noise, (body.weights for body in recording.filters), strict=True)])))
 
 
 def fit(

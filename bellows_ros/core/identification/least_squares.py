@@ -30,7 +30,7 @@ from bellows_ros.core.model.cup_package import gravity_vector, Package, regresso
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.preparation import with_tool_earlier
-from bellows_ros.core.recording.recording import FilterNoise, Recording
+from bellows_ros.core.recording.recording import Noise, Recording
 from bellows_ros.core.signals.savgol import BLOCK
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -247,9 +247,14 @@ class Statistics(NamedTuple):
 
 
 def statistics(
-    samples: Samples, cup_length: float, structure: Structure, noise: FilterNoise | None = None
+    samples: Samples, cup_length: float, structure: Structure,
+    noise: Sequence[tuple[Noise, Array]] = (),
 ) -> Statistics:
-    """Return the statistics of samples for a structure of K and P and a cup length l0, m."""
+    """
+    Return the statistics of samples for a structure of K and P and a cup length l0, m.
+
+    Noise of poses and weights of the filter are of the tool, then of the package.
+    """
     size = 2 * structure.size + 1
     products = np.zeros((6 * size, 6 * size))
     for rows in samples.lip.equations(cup_length, structure):
@@ -262,12 +267,13 @@ def statistics(
             lip_noise(noise, samples.payload, cup_length) if noise else np.zeros((2, 6))))
 
 
-def lip_noise(noise: FilterNoise, payload: Package, cup_length: float) -> Array:
+def lip_noise(
+    noise: Sequence[tuple[Noise, Array]], payload: Package, cup_length: float
+) -> Array:
     """Return the variances (2, 6) of the noise in displacement and twist of the lip."""
     variances = np.zeros((2, 6))
-    for sizes, weights, lever in (
-            (noise.package, noise.package_weights, float(np.linalg.norm(payload.com))),
-            (noise.tool, noise.tool_weights, cup_length)):
+    for (sizes, weights), lever in zip(
+            noise, (cup_length, float(np.linalg.norm(payload.com))), strict=True):
         turned = sizes.rotation**2
         variances += np.outer(np.sum(weights[:2] ** 2, axis=1), np.repeat(
             [sizes.position**2 + lever**2 * turned, turned], 3))

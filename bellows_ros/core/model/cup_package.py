@@ -185,7 +185,7 @@ class Package:
             raise BellowsError(f'package.com must be within 10 m, got {self.com.tolist()}.')
         structure.check_inertia(self.inertia)
         for doubt in structure.unit_doubts(
-                self.mass, np.diag(self.inertia).tolist(), float(self.com[2])):
+                self.mass, np.diag(self.inertia).tolist(), self.com.tolist()):
             warnings.warn(doubt, UnitWarning, stacklevel=3)
 
     @cached_property

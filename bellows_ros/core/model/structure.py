@@ -446,7 +446,7 @@ INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
 
 
 def unit_doubts(
-    mass: float, moments: Sequence[float], height: float = 0.0
+    mass: float, moments: Sequence[float], com: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> tuple[str, ...]:
     """
     Return a question for each of a package's numbers that is likely in another unit.
@@ -457,15 +457,19 @@ def unit_doubts(
         Mass, kg.
     moments : sequence of float
         Moments of inertia about x, y and z, kg m^2.
-    height : float
-        z of the centre of mass in the lip frame, m.
+    com : sequence of float
+        Centre of mass in the lip frame, m.
 
     """
-    doubts = []
+    doubts, height = [], com[2]
     if height > 0.0:
         doubts.append(
             f'package.com is {height:g} m above the lip, inside the cup; z points into the arm. '
             f'Is it {-height:g}?')
+    if (away := float(np.linalg.norm(com))) > GYRATION[-1]:
+        doubts.append(
+            f'package.com is {away:g} m from the lip; expected up to {GYRATION[-1]:g} m. Is it in '
+            'another unit?')
     if not MIN_MASS <= mass <= MAX_MASS:
         doubts.append(
             f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '

@@ -110,7 +110,7 @@ def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
     moments = values['package.inertia'][:3]
     is_flat = max(moments) > (1.0 + structure.INERTIA_ROUNDING) * (sum(moments) - max(moments))
     return (
-        *structure.unit_doubts(values['package.mass'], moments, values['package.com'][2]),
+        *structure.unit_doubts(values['package.mass'], moments, values['package.com']),
         *(f'{structure.no_body(moments)} The nearest is used.',) * is_flat,
         *structure.cup_doubts(structure.matrix(values['cup.stiffness']), values['cup.length']))
 

@@ -405,7 +405,7 @@ def impossible_packages(poses: RecordedPoses) -> Iterator[Finding]:
     moments = np.diag(poses.payload.inertia).tolist()
     if tuple(moments) != NO_INERTIA[:3]:
         for doubt in structure.unit_doubts(
-                poses.payload.mass, moments, float(poses.payload.com[2])):
+                poses.payload.mass, moments, poses.payload.com.tolist()):
             yield Finding('implausible', Level.ERROR, {'sentence': doubt})
 
 

@@ -232,26 +232,6 @@ class BodyNoise(NamedTuple):
     independent: float = np.inf
 
 
-@dataclass(frozen=True, eq=False)
-class FilterNoise:
-    """
-    Noise of a recording's poses, and the filters of the poses.
-
-    Parameters
-    ----------
-    tool, package : Noise
-        White noise of the measured poses, m and rad per axis.
-    tool_weights, package_weights : ndarray (3, m)
-        Weights of the filters for pose, rate and acceleration.
-
-    """
-
-    tool: Noise
-    package: Noise
-    tool_weights: Array
-    package_weights: Array
-
-
 T = TypeVar('T')
 
 
@@ -597,16 +577,16 @@ class Recording:
             and self.measured_package.valid[span.samples].any())
 
     @cached_property
-    def noise(self) -> FilterNoise:
-        """White noise of the measured poses, and the filters of the poses."""
-        return FilterNoise(*self._pose_noise, *(body.weights for body in self.filters))
+    def noise(self) -> tuple[Noise, Noise]:
+        """White noise of the measured poses of tool and package, each at its own stamps."""
+        return noise_of(self.aligned_tool), noise_of(self.aligned_package)
 
     @cached_property
     def ar1_noise(self) -> tuple[tuple[AR1Noise, AR1Noise], tuple[AR1Noise, AR1Noise]]:
         """Time correlation of the noise of tool and package, in position and rotation."""
         tool, package = (
             ar1_noise_of(poses, noise, self._still(poses)) for poses, noise in zip(
-                (self.aligned_tool, self.aligned_package), self._pose_noise, strict=True))
+                (self.aligned_tool, self.aligned_package), self.noise, strict=True))
         return tool, package
 
     @cached_property
@@ -667,11 +647,6 @@ class Recording:
         still = poses.between(first, first + int(rest_ns))
         return still.select(still.valid)
 
-    @cached_property
-    def _pose_noise(self) -> tuple[Noise, Noise]:
-        """White noise of tool and package, each at the stamps of the body."""
-        return noise_of(self.aligned_tool), noise_of(self.aligned_package)
-
     @property
     def start_ns(self) -> int:
         """First stamp of the recording, ns; the filtered part begins half a window later."""
@@ -692,7 +667,7 @@ class Recording:
             'time_offset': self.report.time_offset, 'package_world': self.report.package_world,
             'package': {'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com,
                         'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'}},
-            'noise': dict(zip(('tool', 'package'), self._pose_noise, strict=True)),
+            'noise': dict(zip(('tool', 'package'), self.noise, strict=True)),
             'lateral_offset': {'value': self.alignment.lateral_offset, 'unit': 'm'},
             'warnings': self.report.warnings}
 

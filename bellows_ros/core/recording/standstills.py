@@ -107,8 +107,7 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
 
     """
     bodies = recording.measured_tool, recording.measured_package
-    noise = recording.noise.tool, recording.noise.package
-    blocks = _blocks(*bodies)
+    noise, blocks = recording.noise, _blocks(*bodies)
     spans = _spans_at_rest(bodies, noise, blocks)
     if not spans:
         raise BellowsError(

@@ -59,29 +59,25 @@ class WrenchSensor(NamedTuple):
         return cls(
             ((x, y, z), R, 1.0 if values['wrench.sign'] == 'load' else -1.0),
             values['wrench.bias_std'], round(NS_PER_S * values['wrench.delay']),
-            gripper_at_sensor(values['gripper.mass'], *(
-                np.array(values[f'gripper.{name}']) for name in ('com', 'inertia'))))
+            gripper_at_sensor(values['gripper.mass'], np.array(values['gripper.com'])))
 
 
-def gripper_at_sensor(mass: float, com: Array, inertia: Array) -> Gripper:
+def gripper_at_sensor(mass: float, com: Array) -> Gripper:
     """
-    Return a gripper from its mass (kg), com (3,) in F (m) and inertia at the com, kg m^2.
-
-    The inertia (6,) is ixx, iyy, izz, ixy, ixz, iyz in axes of F.
+    Return a gripper from its mass (kg) and com (3,) in F (m), with the inertia of a point.
 
     Raises
     ------
     BellowsError
-        For a gripper without mass that has inertia.
+        For a centre of mass without a mass.
 
     """
-    if mass == 0.0 and (com.any() or inertia.any()):
+    if mass == 0.0 and com.any():
         raise BellowsError(
-            'gripper.com or gripper.inertia is given, but gripper.mass is 0. Set gripper.mass to '
-            'the mass between sensor and cup.')
+            'gripper.com is given, but gripper.mass is 0. Set gripper.mass to the mass between '
+            'sensor and cup.')
     x, y, z = (mass * com).tolist()
-    at_com = inertia[[0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(3, 3)
-    at_sensor = at_com + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    at_sensor = mass * (com @ com * np.eye(3) - np.outer(com, com))
     return mass, (x, y, z), kernels.matrix_of(at_sensor.ravel().tolist())
 
 

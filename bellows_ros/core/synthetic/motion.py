@@ -49,8 +49,6 @@ class Motion:
 
     Parameters
     ----------
-    start : Pose
-        Pose of the tool at rest at the beginning.
     rest_duration, duration : float
         Durations of the initial rest, and of the motion with the rest, s.
     highest_frequency : float
@@ -60,7 +58,6 @@ class Motion:
 
     """
 
-    start: Pose
     rest_duration: float
     duration: float
     highest_frequency: float
@@ -159,7 +156,7 @@ def oscillation(
                 lie.apply(lie.dexp(-phi), rate[:, 3:]))
 
     highest = max((max(sine.first, sine.last) for sine in sines), default=0.0)
-    return Motion(start, rest, duration, highest, state)
+    return Motion(rest, duration, highest, state)
 
 
 class MoveAndHold(NamedTuple):
@@ -190,7 +187,7 @@ def waypoints(start: Pose, rest: float, segments: Sequence[MoveAndHold]) -> Moti
             begin, before = begin + move + hold, goal
         return position, velocity, rotation, body_rate
 
-    return Motion(start, rest, rest + sum(each.move + each.hold for each in segments),
+    return Motion(rest, rest + sum(each.move + each.hold for each in segments),
                   1.0 / min(each.move for each in segments), state)
 
 
@@ -206,7 +203,6 @@ def planned(tool: Trajectory) -> Motion:
 
     moving, duration = np.asarray(tool.twist).any(axis=1), float(tool.seconds[-1])
     return Motion(
-        Pose(tool.position[0], tool.rotation[0]),
         float(tool.seconds[max(int(np.argmax(moving)) - 1, 0)]), duration,
         0.01 * (len(tool) - 1) / duration, state)  # a hundredth of the rate of its points
 

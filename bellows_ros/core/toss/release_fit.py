@@ -438,7 +438,7 @@ def _drop(
                       np.tile(tool.rotation[len(tool) // 2], (count, 1, 1)), np.zeros((count, 6)))
     return Drop(model, grip, tool, package, rest(model, tool_rows(tool)[0]),
                 (valve_ns - int(package.stamps_ns[0])) / NS_PER_S,
-                recording.noise.package.position)
+                recording.noise[1].position)
 
 
 def _tracked(poses: Trajectory, valve_ns: int, until_ns: int) -> Trajectory:

@@ -83,11 +83,10 @@ def simulated(
     part = 0.01 * errors
     readings = wrench_cell.Errors(**kind, gain=part, hysteresis=part).applied(
         loads - bias, STEP_NS * 1e-9, rng)
-    mass, at, inertia = wrench_cell.numbers_of(masses, places)
+    mass, at, _ = wrench_cell.numbers_of(masses, places)
     return Run(stamps, tool, body, readings, {
         'wrench.frame': '0 0 0.1 0 0 0 1', 'wrench.delay': kind['delay'],
         'gripper.mass': float(mass), 'gripper.com': at.tolist(),
-        'gripper.inertia': inertia.tolist(),
         'package.mass': PACKAGE.mass, 'package.com': list(PACKAGE.com),
         'package.inertia': [*np.diag(PACKAGE.inertia).tolist(), 0.0, 0.0, 0.0],
         'package.mass_std': OFF['mass'] * PACKAGE.mass, 'package.com_std': [7e-3, 7e-3, 1e-3],
