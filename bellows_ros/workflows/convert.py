@@ -4,7 +4,7 @@ from collections.abc import Sequence
 import os
 from pathlib import Path
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask
 from bellows_ros.errors import BellowsError
@@ -34,10 +34,6 @@ class Conversion(NamedTuple):
     bodies: tuple[Body, ...]
     world: str
     notes: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the content of the JSON file."""
-        return {**self._asdict(), 'bodies': [body._asdict() for body in self.bodies]}
 
 
 def convert(

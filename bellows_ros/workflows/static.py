@@ -28,8 +28,6 @@ class StaticResult(NamedTuple):
         Recordings in the given order.
     length : CupLength or None
         The cup's length without load, None with too few masses.
-    no_length : str
-        Reason for the missing length, or ''.
     cup_length : float
         Assumed length of the cup, m.
 
@@ -37,7 +35,6 @@ class StaticResult(NamedTuple):
 
     recordings: tuple[Recording, ...]
     length: statics.CupLength | None
-    no_length: str
     cup_length: float
 
     @property
@@ -76,7 +73,6 @@ class StaticResult(NamedTuple):
                     'stiffness': 'N/m', 'errors': 'm',
                     'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
                 }},
-            'no_estimate': self.no_length,
             'cup_length': self.cup_length,
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [results.attributes(
@@ -114,38 +110,35 @@ def read_standstills(values: Values, progress: Progress) -> StaticResult:
         If a recording is unusable, or static.length requests an undetermined length.
 
     """
-    result = _read(values, progress)
-    if not values.static.length:
+    recordings, com_std = _read(values, progress)
+    result = StaticResult(recordings, None, values.cup.length)
+    try:
+        length = statics.cup_length_of(result.standstills, values.gravity.magnitude)
+    except UndeterminedError as error:
+        if values.static.length:
+            raise BellowsError(f'static.length is set, but: {error}') from None
         return result
-    if result.length is None:
-        raise BellowsError(f'static.length is set, but: {result.no_length}')
-    if not np.isfinite(result.length.length_std):
-        raise BellowsError(f'static.length is set, but: {text(result.length.remarks[0])}')
-    return result._replace(cup_length=result.length.length)
+    if values.static.length:
+        if not np.isfinite(length.length_std):
+            raise BellowsError(f'static.length is set, but: {text(length.remarks[0])}')
+        result = result._replace(cup_length=length.length)
+    return result._replace(length=length._replace(com_std=com_std))
 
 
-def _read(values: Values, progress: Progress) -> StaticResult:
-    """Return the result of the recordings; twists are irrelevant at rest."""
-    recordings, each = list[Recording](), list(zip(
-        values.static.bags, reading.values_of_each(values, at_rest=True), strict=True))
-    for bag, parameters in each:
+def _read(values: Values, progress: Progress) -> tuple[tuple[Recording, ...], float]:
+    """Return the recordings, and the largest std (m) of a com that moves the lip, along z."""
+    recordings, com_std = list[Recording](), 0.0
+    for bag, own in zip(
+            values.static.bags, reading.values_of_each(values, at_rest=True), strict=True):
         progress(f'reading {bag}', 0.0)
-        if parameters.recording.package_world == ESTIMATE:
+        if own.recording.package_world == ESTIMATE:
             raise BellowsError(
                 f"'{bag}' has only standstills, which do not give recording.package_world. Set "
                 'its seven numbers: they are in the cup file of an identification with a motion.')
-        at_rest = parameters.replaced({'topics.tool_twist': '', 'fit.free': ()})
-        recordings.append(reading.load(
-            bag, at_rest, accepted='tool_at_rest'))
+        recordings.append(reading.load(  # twists are irrelevant at rest
+            bag, own.replaced({'topics.tool_twist': '', 'fit.free': ()}), accepted='tool_at_rest'))
+        if not recordings[-1].settings.moves_with_com[2]:
+            com_std = max(com_std, float(given_std(own).get('com', np.zeros(3))[2]))
         for _, words in reading.duplicates((each.name, each.digest) for each in recordings):
             raise BellowsError(words)
-    result = StaticResult(tuple(recordings), None, '', values.cup.length)
-    com_std = max((
-        float(given_std(own).get('com', np.zeros(3))[2]) for recording, (_, own) in zip(
-            recordings, each, strict=True)
-        if not recording.settings.moves_with_com[2]), default=0.0)
-    try:
-        return result._replace(length=statics.cup_length_of(
-            result.standstills, values.gravity.magnitude)._replace(com_std=com_std))
-    except UndeterminedError as error:
-        return result._replace(no_length=str(error))
+    return tuple(recordings), com_std
