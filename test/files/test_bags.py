@@ -165,15 +165,6 @@ def test_a_topic_of_two_types_is_refused(tmp_path):
     assert f'{made.POSE} and {made.TRANSFORM}' in error_of(made.write(tmp_path / 'b', content))
 
 
-@pytest.mark.parametrize('names', [
-    None, 'b.mcap', [None], [''], ['b' * 5000], ['gone.mcap'], ['.'], ['/etc/passwd'], ['..']])
-def test_damaged_metadata_is_refused(folder, names):
-    change_metadata(folder, relative_file_paths=names)
-    assert 'reindex' in error_of(folder)
-    change_metadata(folder, relative_file_paths=['b.mcap'])
-    assert len(read_streams(folder, {'p': 'a'})['p']) == 4
-
-
 def test_what_is_no_recording_is_refused(tmp_path):
     """Also a device, a bag of ROS 1, and a folder of recordings; a long name is not repeated."""
     old, inner = tmp_path / 'old.bag', tmp_path / 'all'

@@ -169,12 +169,3 @@ def test_other_exports_are_refused(change, named, tmp_path):
         return
     with pytest.raises(BellowsError, match=rf"take\.csv'.*{named}"):
         read_motive(file)
-
-
-@pytest.mark.parametrize(
-    'content', ['', 'Format Version,1.23\n', 'Format Version,1.2\n\nFrame,T\n'])
-def test_torn_files_are_refused(content, tmp_path):
-    """End in an error that names the file."""
-    (tmp_path / 'take.csv').write_text(content)
-    with pytest.raises(BellowsError, match='take.csv'):
-        read_motive(tmp_path / 'take.csv')
