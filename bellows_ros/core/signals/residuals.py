@@ -1,8 +1,7 @@
 """
 Errors of a prediction against a measurement: per axis, and their spectra.
 
-With missing samples (NaN), powers and correlations are computed from the available samples.
-Missing samples of motions are interpolated, because zeros would add power at all frequencies.
+With missing samples (NaN), powers are computed from the available samples.
 """
 
 from dataclasses import dataclass
@@ -193,14 +192,6 @@ def _is_finite(values: Array) -> Mask:
     if not present.any():
         raise BellowsError('There is no sample of which to take a spectrum.')
     return np.asarray(present)
-
-
-def interpolated(values: Array) -> Array:
-    """Return values (N, C) with missing samples (NaN) interpolated linearly."""
-    present, every = np.flatnonzero(_is_finite(values)), np.arange(len(values))
-    if len(present) == len(values):
-        return values
-    return np.column_stack([np.interp(every, present, channel[present]) for channel in values.T])
 
 
 def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spectrum:

@@ -89,15 +89,6 @@ K, P = np.array([6000.0, 6000, 11000, 4.0, 4.0, 1.2]), np.array([60.0, 60, 25, 0
 G = 9.81
 
 
-def test_modes_of_axial_and_torsion_are_those_of_one_mass():
-    """Meet f = sqrt(k/m) / 2 pi and zeta = p / (2 sqrt(k m)), exact for these two."""
-    found = {mode.direction: (mode.frequency, mode.damping) for mode in modes(
-        Cup(np.diag(K), np.diag(P), 0.048), PACKAGE, G)}
-    for name, k, p, m in (('axial', K[2], P[2], 2.0), ('torsion', K[5], P[5], 0.016)):
-        assert_allclose(found[name][0], np.sqrt(k / m) / (2 * np.pi), rtol=1e-6)
-        assert_allclose(found[name][1], p / (2 * np.sqrt(k * m)), rtol=1e-6)
-
-
 def test_modes_of_bending_come_in_pairs_that_meet_a_beams_formula():
     """Find them twice where nothing tells x from y, as the 2x2 problem about the middle says."""
     plate = Package(2.0, np.diag([0.008, 0.008, 0.016]), np.array([0.0, 0.0, -0.03]))

@@ -6,15 +6,10 @@ from bellows_ros.core.findings import Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.recording.faults import pose_remarks
 from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.trajectory import PoseStream
-from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.safe_yaml import load as read_yaml
-from bellows_ros.workflows.recordings import load
-from bellows_ros.workflows.simulate import simulate_recording
 import numpy as np
 import pytest
 
@@ -126,6 +121,8 @@ FAULTS = {
     'at rest': (lambda t, p: (still(t), still(p)), 'tool_at_rest', 'tool'),
     'millimetres': (lambda t, p: (t, changed(p, 1e3 * p.position)), 'millimetres', 'package'),
     'w first': (lambda t, p: (t, w_first(p)), 'quaternions', 'package'),
+    'w first in the tool': (lambda t, p: (w_first(t), p), 'quaternions', 'tool'),
+    'w first in both': (lambda t, p: (w_first(t), w_first(p)), 'quaternions', 'both'),
     'exchanged': (lambda t, p: (p, t), 'exchanged', 'both'),
     'z of the tool': (lambda t, p: (changed(t, rotation=t.rotation @ OUT), p), 'tool_z', 'tool')}
 
@@ -168,14 +165,27 @@ def test_sound_poses_have_no_fault_in_one_frame_or_two(seed):
     assert faults(*both) == faults(*apart(*both, seed)) == []
 
 
-def test_a_cup_that_swings_widely_is_in_one_frame(tmp_path):
-    """The swing rotates the estimated relation of both rotations by 30 degrees, no frame."""
-    parameters = {**read_parameters('bags/package.yaml'),
-                  **read_parameters('config/cup_thesis.yaml')}
-    simulate_recording(
-        parameters, {**read_yaml('bags/identification.yaml'), 'duration': 60.0}, tmp_path / 'bag')
-    values = resolve({**parameters, 'recording.package_frame': 'com'})
-    assert len(load(tmp_path / 'bag', values).measured_package.stamps_ns) > 20_000
+def test_a_base_that_drives_far_is_in_metres():
+    far = [replace(body, position=body.position + np.outer(
+        4e-9 * (body.stamps_ns - START), [1.0, 0.0, 0.0])) for body in streams(3)]
+    assert np.ptp(far[0].position[:, 0]) > 25.0 and not faults(*far)
+
+
+def test_streams_without_overlap_determine_no_roles():
+    tool, package = streams(3)
+    assert not remarks(tool, replace(package, stamps_ns=package.stamps_ns + 10**12))
+
+
+@pytest.mark.parametrize('seed', [17, 108, 146, 165])
+def test_poses_of_two_worlds_are_of_no_other_convention(seed):
+    """Although with quaternions of another order the package would happen to hang nearly."""
+    tool, package = streams(3)
+    rng = np.random.default_rng(seed)
+    turn = rng.normal(size=3)
+    R = exp_so3(np.radians(rng.uniform(10.0, 180.0)) * turn / np.linalg.norm(turn))
+    middle = tool.position.mean(axis=0) + 0.1 * rng.normal(size=3)
+    turned = changed(package, middle + (package.position - middle) @ R.T, R @ package.rotation)
+    assert not {'quaternions', 'millimetres'} & {code for code, _ in faults(tool, turned)}
 
 
 @pytest.mark.parametrize('fixed', [True, False])

@@ -24,23 +24,6 @@ def test_spectrum_is_that_of_scipy(count, rate_hz):
     assert_allclose(found.density, density, rtol=1e-9, atol=1e-12 * density.max())
 
 
-def test_a_motion_with_lost_samples_has_no_power_elsewhere():
-    """Keep the spectrum of a slow sine beside its own band where one sample in fifty is lost."""
-    t = np.arange(4000) / 200.0
-    motion = np.sin(2 * np.pi * 2.0 * t)[:, None]
-    lost = np.where(np.random.default_rng(9).random(4000) < 0.02, np.nan, t)
-    seen = np.where(np.isfinite(lost)[:, None], motion, np.nan)
-    filled = residuals.interpolated(seen)
-    assert_allclose(filled, motion, atol=5e-3)  # (omega h)^2 / 2 for two lost in a row
-    found = residuals.spectrum(filled, 200.0)
-    assert found.density[found.frequency > 5.0].max() < 1e-5 * found.density.max()
-    straight = np.column_stack([t, 1.0 - t])
-    found = residuals.interpolated(np.where(np.isfinite(lost)[:, None], straight, np.nan))
-    assert_allclose(found[1:-1], straight[1:-1], atol=1e-12)
-    with pytest.raises(BellowsError):
-        residuals.interpolated(np.full((10, 2), np.nan))
-
-
 def test_band_holds_the_middle_of_the_power():
     """Cut 5 % of a flat spectrum from either end; know nothing of one without power."""
     frequency = np.arange(1.0, 101.0)
@@ -105,13 +88,6 @@ def test_one_future_stamp_is_the_only_omitted_one(at, ahead):
     stamps, arrivals = sent()
     stamps[at] += ahead
     assert left_out(stamps, arrivals) == {'future_stamp': [at]}
-
-
-def test_late_and_repeated_stamps_cost_themselves():
-    stamps, arrivals = sent()
-    stamps[2000] = stamps[1990] + 1
-    stamps[3000] = stamps[2999]
-    assert left_out(stamps, arrivals) == {'backward_stamp': [2000], 'duplicate_stamp': [3000]}
 
 
 @pytest.mark.parametrize('set_back', [30 * MS, S, 3600 * S])
