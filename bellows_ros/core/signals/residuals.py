@@ -1,10 +1,7 @@
-"""
-Errors of a prediction against a measurement: per axis, and their spectra.
-
-With missing samples (NaN), powers are computed from the available samples.
-"""
+"""Errors of a prediction against a measurement: per axis, and their spectra."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import apply, log_so3
@@ -154,8 +151,7 @@ SEGMENT_S = 2.0
 """Length of the segments of a spectrum, s: a resolution of 0.5 Hz."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spectrum:
+class Spectrum(NamedTuple):
     """
     One-sided power spectral densities of C channels.
 
@@ -186,14 +182,6 @@ class Spectrum:
         return low, high
 
 
-def _is_finite(values: Array) -> Mask:
-    """Return the mask (N,) of complete samples of values (N, C); raise without any."""
-    present = np.isfinite(values).all(axis=1)
-    if not present.any():
-        raise BellowsError('There is no sample of which to take a spectrum.')
-    return np.asarray(present)
-
-
 def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spectrum:
     """
     Return power spectral densities by Welch's method with Hann windows that overlap by half.
@@ -201,24 +189,20 @@ def spectrum(values: Array, rate_hz: float, segment_s: float = SEGMENT_S) -> Spe
     Parameters
     ----------
     values : ndarray (N, C)
-        Values at a uniform rate; their mean is subtracted. A missing sample (NaN) counts as zero,
-        and the density is scaled up for the missing power. This is correct for white signals;
-        interpolate other signals first.
+        Values at a uniform rate; their mean is subtracted.
     rate_hz : float
         Samples per second.
     segment_s : float
         Length of a segment, s.
 
     """
-    present = _is_finite(values)
     length = min(len(values), round(segment_s * rate_hz))
     window = np.sin(np.pi * np.arange(length) / length) ** 2
-    scale = 2.0 * len(values) / np.count_nonzero(present) / (rate_hz * np.sum(window**2))
+    scale = 2.0 / (rate_hz * np.sum(window**2))
     # SciPy's function takes 1 s and 50 MB to load, and more memory than this loop over channels.
     density = scale * np.column_stack([
         np.mean(np.abs(np.fft.rfft(window * segments)) ** 2, axis=0)
-        for segments in (sliding_window_view(
-            np.where(present, channel - channel[present].mean(), 0.0), length
-        )[::length - length // 2] for channel in values.T)])
+        for segments in (sliding_window_view(channel - channel.mean(), length)[
+            ::length - length // 2] for channel in values.T)])
     density[[0] if length % 2 else [0, -1]] *= 0.5  # one-sided
     return Spectrum(np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64), density)
