@@ -168,7 +168,7 @@ def of_command(
     if 'provenance' in content:
         content['provenance'] |= {'parameter_files': listed(parameter_files)}
     if 'warnings' in content:
-        content['warnings'] = [*dict.fromkeys((*asked, *content['warnings']))]
+        content['warnings'] = [*asked, *content['warnings']]
     return content
 
 

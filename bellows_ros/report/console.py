@@ -77,10 +77,9 @@ class Console(Writer):
         self.console = self._stderr
 
     def warn(self, *texts: str) -> None:
-        """Print warnings, except the questions in `asked`."""
+        """Print warnings."""
         for text in texts:
-            if text not in self.asked:
-                self._print_error(f'Warning: {text}', 'yellow')
+            self._print_error(f'Warning: {text}', 'yellow')
 
     @contextmanager
     def asking(self) -> Iterator[None]:

@@ -108,7 +108,7 @@ def identify(
             _require_no_faults(parts, effective, FORCE)
         return _identify(
             values, effective, parts, static, progress, pairs,
-            failed=tuple(failed), assumed=(*_assumed(settings), *_doubts(values)))
+            failed=tuple(failed), assumed=_assumed(settings))
 
 
 def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['Cluster | None']:
@@ -169,12 +169,6 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
            'a recording that was not used in the fit. Remove it from one.')
     yield (validation and missing, f'The package of validation.bags is unknown: set '
            f'{", ".join(missing)} in addition to package.files.')
-
-
-def _doubts(values: Values) -> tuple[str, ...]:
-    """Return warnings about the package of all recordings, if there is one."""
-    given = all(name in values for name in checks.PACKAGE_PARAMETERS)
-    return checks.implausible(values) if given else ()
 
 
 def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
