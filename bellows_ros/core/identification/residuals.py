@@ -309,23 +309,15 @@ SENSED = frozenset({
 """Quantities of the measured poses, which the simulation is without."""
 
 
-def taps(rows_ns: Stamps, stamps: Stamps) -> tuple[Places, Array]:
-    """Return indices (N, 4) of uniform rows and their weights in cubic curves at stamps (N,)."""
-    step = int(rows_ns[1] - rows_ns[0]) if len(rows_ns) > 1 else 1
-    at = (stamps - rows_ns[0]) / step
-    first = np.clip(np.floor(at).astype(np.int64) - 1, 0, max(len(rows_ns) - 4, 0))
-    x = (at - first)[:, None]
-    a, b, c, d = (x - k for k in range(4))
-    weights = np.hstack([-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0])
-    return np.minimum(first[:, None] + np.arange(4), len(rows_ns) - 1), weights
-
-
 def at_stamps(rows_ns: Stamps, values: Array, stamps: Stamps) -> Array:
-    """Return values (M, ...) of uniform rows at stamps (N,)."""
-    places, weights = taps(rows_ns, stamps)
+    """Return values (M, ...) of uniform rows at stamps (N,), on cubic curves through the rows."""
+    at = (stamps - rows_ns[0]) / (int(rows_ns[1] - rows_ns[0]) if len(rows_ns) > 1 else 1)
+    first = np.clip(np.floor(at).astype(np.int64) - 1, 0, max(len(rows_ns) - 4, 0))
+    a, b, c, d = ((at - first - k).reshape(-1, *[1] * (values.ndim - 1)) for k in range(4))
     out = np.zeros((len(stamps), *values.shape[1:]))
-    for k in range(4):
-        out += weights[:, k].reshape(-1, *[1] * (values.ndim - 1)) * values[places[:, k]]
+    for k, weight in enumerate((
+            -b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0)):
+        out += weight * values[np.minimum(first + k, len(rows_ns) - 1)]
     return out
 
 

@@ -43,9 +43,6 @@ LIGHT_ORDER = 4
 MAX_NRMSE = 0.05
 """Largest NRMSE accepted in the thesis."""
 
-MAX_BRIDGE_TIME = 0.08
-"""Longest gap of the tool that is bridged without a warning, s."""
-
 REST_S = 0.3
 """Shortest initial rest of both bodies in a recording that begins at rest, s."""
 
@@ -268,15 +265,11 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
                                int(np.searchsorted(poses.stamps_ns, last)) + 1))
     if max_samples is not None:
         poses = poses.select(slice(int(np.argmax(poses.valid)) + max_samples))
-    runs, findings = list[Run](), list[Finding]()
-    for part in _segments_of(poses, recording):
-        run, more = _run(cup, recording, part, is_first=not runs)
-        runs.append(run)
-        findings += more
-    findings += [
-        Finding('gap', Level.WARN, {
-            'what': 'begins anew after', 'duration': (after - before) / NS_PER_S,
-            'begin': (before - recording.start_ns) / NS_PER_S})
+    runs = [_run(cup, recording, part, is_first=not number)
+            for number, part in enumerate(_segments_of(poses, recording))]
+    findings = [
+        Finding('gap', Level.WARN, {'duration': (after - before) / NS_PER_S,
+                                    'begin': (before - recording.start_ns) / NS_PER_S})
         for before, after in ((int(one.tool.stamps_ns[-1]), int(other.tool.stamps_ns[0]))
                               for one, other in pairwise(runs))]
     compared = [_compared(recording, run, first, last) for run in runs]
@@ -297,22 +290,16 @@ def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
     return [poses.between(span.first_ns, span.last_ns) for span in spans] or [poses]
 
 
-def _run(
-    cup: Cup, recording: Recording, poses: Trajectory, is_first: bool
-) -> tuple[Run, list[Finding]]:
-    """Return the free simulation of a segment, and findings on its bridged gaps of the tool."""
+def _run(cup: Cup, recording: Recording, poses: Trajectory, is_first: bool) -> Run:
+    """Return the free simulation of a segment."""
     payload, gravity = recording.payload, recording.settings.gravity
-    tool, gaps = recording.cached(
+    tool = recording.cached(
         ('smoothed', int(poses.stamps_ns[0]), len(poses)),
         lambda: smoothed_tool(poses, half_window_of(poses)))
     model = model_tuple(cup, payload, gravity)
     state, begin, start = _start(model, tool, recording, is_first)
     tool = resample(tool, np.append(begin, tool.stamps_ns[tool.stamps_ns > begin]))
-    moved = simulate(cup, payload, tool, state, gravity)
-    return Run(tool, moved, state, start), [
-        Finding('gap', Level.WARN, {
-            'what': 'bridges', 'duration': duration, 'begin': since})
-        for since, duration in gaps.tolist() if duration > MAX_BRIDGE_TIME]
+    return Run(tool, simulate(cup, payload, tool, state, gravity), state, start)
 
 
 def _compared(
@@ -340,9 +327,9 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
     return Trajectory(stamps, position, rotation, twist, valid=valid)
 
 
-def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, Array]:
+def smoothed_tool(measured: Trajectory, half_window: int) -> Trajectory:
     """
-    Return the tool with twists at every usable stamp, and the bridged gaps (G, 2).
+    Return the tool with twists at every usable stamp, with gaps bridged (see `bridged`).
 
     Parameters
     ----------
@@ -350,13 +337,6 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
         Poses of E at a uniform rate, not smoothed.
     half_window : int
         Half window of the filter, samples.
-
-    Returns
-    -------
-    Trajectory
-        Poses with gaps bridged (see `bridged`), filtered with a short window.
-    ndarray (G, 2)
-        Start (s, from the first sample) and duration (s) of each gap.
 
     Raises
     ------
@@ -370,12 +350,7 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> tuple[Trajectory, A
         raise BellowsError(
             f'The tool has fewer than {2 * half_window + 1} usable poses in a row, so nothing '
             'can be simulated.')
-    span = slice(int(usable[0]), int(usable[-1]) + 1)
-    tool = replace(filtered.select(span), acceleration=None)
-    is_measured = measured.valid[half_window:][span]
-    gaps = np.flatnonzero(np.diff(np.flatnonzero(is_measured)) > 1)
-    edges = (tool.stamps_ns[is_measured] - measured.stamps_ns[0]) / NS_PER_S
-    return tool, np.column_stack([edges[gaps], edges[gaps + 1] - edges[gaps]])
+    return replace(filtered.select(slice(int(usable[0]), int(usable[-1]) + 1)), acceleration=None)
 
 
 def half_window_of(tool: Trajectory) -> int:

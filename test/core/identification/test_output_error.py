@@ -345,9 +345,5 @@ def test_rubber_that_relaxes_is_found_with_its_static_stiffness():
 @pytest.mark.stress
 def test_a_kelvin_voigt_cup_shows_no_relaxation():
     own = measured(13, package_noise=(1e-4, 5e-4), tool_hz=125.0)  # benchmarks.rubber has 40
-    auto, off = (output_error([own], AXISYMMETRIC, scaled(1.5), relaxation=wanted)
-                 for wanted in ('auto', 'off'))
-    assert auto.relaxation == (0.0, 0.0)
-    assert_allclose(auto.covariance, off.covariance, rtol=1e-6)
     with pytest.raises(UndeterminedError, match='fit.relaxation'):
         output_error([own], AXISYMMETRIC, TRUTH, relaxation='on')

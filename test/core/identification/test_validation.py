@@ -123,7 +123,7 @@ def test_lost_package_poses_are_not_compared():
 
 
 def test_a_long_gap_of_the_tool_is_reported():
-    """Go on through 0.3 s without tool poses, and say so; through a short one say nothing."""
+    """Begin anew after 0.3 s without tool poses, and say so; bridge a short one."""
     motion = tool_motion()
     for seconds, count in ((0.05, 0), (0.3, 1)):
         kept = np.ones(len(motion), dtype=bool)
@@ -138,7 +138,7 @@ def test_smoothing_keeps_the_motion_and_bridges_gaps():
     motion = tool_motion()
     valid = np.ones(len(motion), dtype=bool)
     valid[900:905] = False
-    tool, bridges = smoothed_tool(
+    tool = smoothed_tool(
         Trajectory(motion.stamps_ns, motion.position, motion.rotation, valid=valid), 4)
     first = int(np.searchsorted(motion.stamps_ns, tool.stamps_ns[0]))
     same = motion.select(slice(first, first + len(tool)))
@@ -147,8 +147,6 @@ def test_smoothing_keeps_the_motion_and_bridges_gaps():
     outside = np.abs(tool.stamps_ns - motion.stamps_ns[902]) > 0.05e9
     assert_allclose(tool.position[outside], same.position[outside], atol=2e-6)
     assert_allclose(tool.twist[outside], same.twist[outside], atol=5e-4)
-    (start, duration), = bridges
-    assert_allclose([start, start + duration], [899 / RATE, 905 / RATE], rtol=1e-6)
 
 
 def test_a_tool_without_poses_is_refused():
@@ -183,8 +181,7 @@ def test_the_true_cup_is_right_behind_gaps_of_either_body(tool_gaps, package_gap
     assert len(found.runs) == 1 + len(tool_gaps)
     assert found.worse_than_noise == ()
     assert np.all(found.scores.rms < 1.5 * found.noise)
-    assert sum(each.numbers['what'] == 'begins anew after'
-               for each in found.findings) == len(tool_gaps)
+    assert len(found.findings) == len(tool_gaps)
     wrong = validate(Cup(0.8 * THESIS.stiffness, THESIS.damping,
                          THESIS.length), recording)
     assert wrong.worse_than_noise
