@@ -102,8 +102,6 @@ class SensorInput:
     def report(self, refused: Mapping[str, int]) -> health.InputReport:
         """Return the statistics since the last call, with the rejected messages so far."""
         before, self._refused = self._refused, dict(refused)
-        if any(count < before.get(reason, 0) for reason, count in refused.items()):
-            before = {}  # the counter has been replaced
         silent = (time.monotonic_ns() - self.last_ns) / NS_PER_S if self.last_ns >= 0 else math.inf
         count, self._count = self._count, 0
         publishers = self._node.count_publishers(self.topic)

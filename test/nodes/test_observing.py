@@ -16,7 +16,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from scipy.spatial.transform import Rotation
 
-from .conftest import ORIGIN, PACKAGE, placed, set_on, stamped, UPRIGHT
+from .conftest import ORIGIN, PACKAGE, placed, stamped, UPRIGHT
 from ..core.observer.cases import truth
 
 pytestmark = pytest.mark.usefixtures('observer_kernels')
@@ -91,29 +91,6 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     partner.wait(lambda: any(
         'measured package' in line.name and 'refused' in line.message
         for report in reports for line in report.status))
-
-
-def test_counts_begin_again_with_the_observer(make_partner):
-    """Count no messages below zero after a parameter is set, and none as faults in flight."""
-    partner = make_partner({**PACKAGE, 'package.size': [0.1] * 3}, with_twists=False)
-    predictor, observing = partner.predictor, partner.predictor.pipeline.observing
-    start_ns = time.time_ns()
-    bad_pose = placed(stamped(PoseStamped(), start_ns), ORIGIN, (0.0, 0.0, 0.0, 0.0))
-    observing._compiling.on_peers(1)
-    partner.wait(lambda: observing.is_ready)
-    partner.predict(start_ns)
-
-    def report(bad):
-        for _ in range(bad):
-            observing._on_measured(serialize_message(bad_pose))
-        return observing.status()
-
-    assert report(3).message.startswith('3 of 3 messages refused')
-    set_on(predictor, 'measured.noise', [1e-3] * 2)
-    assert report(2).message.startswith('2 of 2 messages refused')
-    assert report(0).level == Level.ERROR
-    predictor.pipeline.live.on_valve(False, start_ns)
-    assert report(0).level == report(1).level == Level.WARN
 
 
 def test_wrenches_weigh_the_package(make_partner):

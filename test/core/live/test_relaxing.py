@@ -1,29 +1,24 @@
-"""Cups that relax or have stretch: live, planned, steered, tossed and observed."""
+"""Cups that relax or have stretch: live, planned, steered and observed."""
 
 from dataclasses import replace
-import math
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.simulation import simulate
-from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.core.parameters.conversion import release_of
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.planning.steering import steer
-from bellows_ros.core.toss.release import HeldMotion, toss
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from ..tosses import GRIP, values
+from ..tosses import GRIP
 from ...cell.cup import CUP, PACKAGE
 from ...cell.motion import Move
 from ...cell.sensors import sent_by
 
 RUBBER = replace(CUP, relaxation=(0.2, 0.25))
 STRETCHED = replace(CUP, stretch=(-2.5e4, -15.0))
-PLAIN = model_tuple(CUP, PACKAGE, 9.81)
 SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.3, 0.0], 0.6)
 
 
@@ -98,14 +93,3 @@ def test_a_plan_is_predicted_and_steered(cup):
     expected = simulate(cup, PACKAGE, tool, gravity=9.81)
     assert_allclose(found.states[:, :3], expected.position, atol=1e-8)
     assert len(steer(model, tool, 'zvd').modes) >= 1
-
-
-@pytest.mark.parametrize('cup', [RUBBER, STRETCHED])
-def test_a_toss_holds_until_its_release(cup):
-    release = release_of(resolve({**values(), 'landing.height': -1.0}))
-    plan, model = Move([0.6, 0.0, 0.3], [0.0, 0.0, 0.0], 0.6).plan(), model_tuple(
-        cup, PACKAGE, 9.81)
-    held = HeldMotion(model, GRIP, plan)
-    thrown = toss(held, release, 0.3)
-    plain = toss(HeldMotion(PLAIN, GRIP, plan), release, 0.3)
-    assert math.dist(thrown.landing[0], plain.landing[0]) > 1e-4

@@ -129,17 +129,6 @@ def test_exact_on_quadratics_even_with_uneven_stamps(count, back):
     assert_allclose(w, e, atol=1e-10)
 
 
-def test_second_order_on_a_smooth_motion():
-    motion, errors = ShakenTool(np.random.default_rng(1)), []
-    for h in (0.008, 0.004, 0.002):
-        stamps = np.round(np.arange(-4, 1) * h * 1e9 + 1e9).astype(np.int64)
-        samples = [motion.at(stamp * 1e-9) for stamp in stamps]
-        history = filled([s[0] for s in samples], [s[1] for s in samples], stamps)
-        _, _, v, w = history.state()
-        errors.append(np.abs(np.concatenate([v, w]) - samples[-1][2]).max())
-    assert np.all(np.log2(np.divide(errors[:-1], errors[1:])) > 1.8), errors
-
-
 def lagging(late, noise, seed, seconds=6.0):
     """Yield the history of poses later than their twists, and the moved, seen and true place."""
     rng, motion = np.random.default_rng(seed), ShakenTool(np.random.default_rng(1))
