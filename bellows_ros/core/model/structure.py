@@ -429,8 +429,8 @@ MIN_MASS = 0.01
 MAX_MASS = 50.0
 """Largest plausible mass of a package, kg."""
 
-GYRATION = (0.01, 0.3, 1.0)
-"""Radii of gyration of packages: smallest, largest usual and largest plausible, m."""
+MAX_GYRATION = 1.0
+"""Largest plausible radius of gyration of a package, and distance of its com from the lip, m."""
 
 SOFT = 30.0
 """Smallest plausible stiffness in translation, N/m."""
@@ -440,9 +440,6 @@ MAX_PLAUSIBLE_LENGTH = 0.3
 
 LEVER = (1e-3, 0.5)
 """Plausible range of the lever arm sqrt(K rotational / K translational) of a cup, m."""
-
-INERTIA_UNITS = (('g m^2', 1e3), ('kg cm^2', 1e4), ('kg mm^2', 1e6))
-"""Other units of moments of inertia, and their number in 1 kg m^2."""
 
 
 def unit_doubts(
@@ -466,19 +463,19 @@ def unit_doubts(
         doubts.append(
             f'package.com is {height:g} m above the lip, inside the cup; z points into the arm. '
             f'Is it {-height:g}?')
-    if (away := float(np.linalg.norm(com))) > GYRATION[-1]:
+    if (away := float(np.linalg.norm(com))) > MAX_GYRATION:
         doubts.append(
-            f'package.com is {away:g} m from the lip; expected up to {GYRATION[-1]:g} m. Is it in '
+            f'package.com is {away:g} m from the lip; expected up to {MAX_GYRATION:g} m. Is it in '
             'another unit?')
     if not MIN_MASS <= mass <= MAX_MASS:
         doubts.append(
             f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '
             f'{MAX_MASS:g} kg. Is it in another unit?')
     gyration = float(np.sqrt(np.sum(moments) / mass))
-    if gyration > GYRATION[-1]:
+    if gyration > MAX_GYRATION:
         doubts.append(
             f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '
-            f'{GYRATION[-1]:g} m. Is it in {unit_of_inertia(gyration)} instead of kg m^2?')
+            f'{MAX_GYRATION:g} m. Is it in kg m^2?')
     return tuple(doubts)
 
 
@@ -500,9 +497,3 @@ def cup_doubts(stiffness: Array, length: float) -> tuple[str, ...]:
         doubts.append(f'cup.length is {length:g} m; cups of this kind have up to '
                       f'{MAX_PLAUSIBLE_LENGTH:g} m. Is it in another unit?')
     return tuple(doubts)
-
-
-def unit_of_inertia(gyration: float) -> str:
-    """Return the likely unit of moments of inertia by their radius of gyration (m)."""
-    return next((unit for unit, many in INERTIA_UNITS
-                 if gyration < GYRATION[1] * float(np.sqrt(many))), INERTIA_UNITS[-1][0])
