@@ -7,7 +7,7 @@ from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import Vector, ZERO
+from bellows_ros.core.geometry.tuples import Vector
 from bellows_ros.core.model.equilibrium import sag
 from bellows_ros.core.model.kernels import law_of, model_row, ModelTuple, ORIGIN, State
 from bellows_ros.core.observer import alarms, dynamics, states
@@ -19,7 +19,6 @@ from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
 from bellows_ros.core.observer.results import Estimate, Evidence
 from bellows_ros.core.observer.states import LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT
-from bellows_ros.core.observer.track import Track
 from bellows_ros.core.parameters.values import Values
 import numpy as np
 
@@ -43,7 +42,8 @@ FLAT = 0.98
 """Smallest cosine between the cup's axis and gravity of a package that is turned flat."""
 
 MODEL_ERROR_SHARE = 3e-4
-"""Initial variance of the model error, relative to the variance of the lip's displacement."""
+"""Largest initial variance of the model error, relative to that of the lip's displacement; the
+stated relative variance of K if smaller, because a well-known cup needs no correction."""
 
 FIRST_JITTER = 2e-3
 """Initial standard deviation of the random error of a stamp, s."""
@@ -54,12 +54,6 @@ FIRST_MEMORY = 0.043
 LEAST_TOOL_NOISE = 5e-7, 2.5e-6
 """Smallest noise of the tool's position (m) and rotation (rad), of the size of the filter's step
 errors."""
-
-HUNG_NS = 1_000_000_000
-"""Time at rest before a start, in which the errors of cup and package displace it, ns."""
-
-HANGING_SAMPLES = 100
-"""Number of tool samples whose white noise is averaged for a hanging package."""
 
 FIRST_PERIOD = 0.03
 """Initial time between measurements, s."""
@@ -72,6 +66,7 @@ wrong payload would appear as noise with a long memory.
 
 WRENCH_ROWS = np.arange(states.WRENCH, states.WRENCH + 6)
 INERTIAS = slice(states.INERTIA, states.INERTIA + 3)
+STIFFNESSES = slice(states.STIFFNESS, states.STIFFNESS + 6)
 
 DIFFERING_ROWS = np.arange(states.MASS, states.COM + 3)
 """Rows of the parameters that may differ. A stiffness that differs raised six false alarms in
@@ -125,9 +120,11 @@ class Correction:
         self.weight, self.prior, inertia, walk = states.priors_of(values, model)
         prior = np.diag(np.square(self.prior))
         prior[INERTIAS, INERTIAS] = inertia
-        n = states.ROWS_WITHOUT_SENSOR
+        n, memory = states.ROWS_WITHOUT_SENSOR, first_memory()
+        memory[ekf.SHARE] = np.square(self.prior[STIFFNESSES]).min().clip(
+            measured.SHARE_RANGE[0], MODEL_ERROR_SHARE)
         self.initial = Estimate(
-            0, ORIGIN, ORIGIN, np.zeros(n - STATE), prior[:n, :n].copy(), first_memory())
+            0, ORIGIN, ORIGIN, np.zeros(n - STATE), prior[:n, :n].copy(), memory)
         self._prior_of_differing = np.square(self.prior[DIFFERING_ROWS])
         self.largest = LARGEST.copy()
         self.largest[WRENCH_ROWS] *= self.weight
@@ -141,30 +138,17 @@ class Correction:
         return np.asarray(self.weight / max(float(np.linalg.norm(g)), 1e-9) * g)
 
     def start(
-        self, stamp_ns: int, tool: State, body: State, initial: Estimate, on_support: bool = False,
+        self, stamp_ns: int, tool: State, body: State, initial: Estimate, std: Array | None,
     ) -> Estimate:
-        """Return the initial estimate of a package at rest."""
+        """Return the initial estimate of a package, with stated deviations (12,), if known."""
         self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
         P = initial.covariance.copy()
-        if on_support:
-            P[:STATE, :STATE] = np.diag(np.square(ON_SUPPORT))
+        if std is not None:
+            P[:STATE, :STATE] = np.diag(np.square(std))
         return Estimate(stamp_ns, tool, body, initial.theta, P, initial.memory)
 
-    def after_hanging(self, estimate: Estimate) -> Estimate:
-        """Return the first estimate of a package that has hung at rest, with an exact model."""
-        since_ns, track, P = estimate.stamp_ns - HUNG_NS, Track(), estimate.covariance.copy()
-        still: State = *estimate.tool[:2], ZERO, ZERO
-        body: State = *estimate.body[:2], ZERO, ZERO, *estimate.body[4:]
-        track.begin(since_ns, still, body)
-        for k in range(1, HANGING_SAMPLES + 1):
-            track.add(since_ns + k * HUNG_NS // HANGING_SAMPLES, still, still, body)
-        P[:STATE, :] = P[:, :STATE] = 0.0
-        before = estimate._replace(stamp_ns=since_ns, tool=still, body=body, covariance=P)
-        return estimate._replace(
-            covariance=self.propagated(before, track, estimate.stamp_ns).covariance)
-
     def _step(
-        self, before: Estimate, track: Track, stamp_ns: int,
+        self, before: Estimate, track: ekf.Track, stamp_ns: int,
         measurement: Measurement = NO_MEASUREMENT, gate: float = 0.0, support: int = 0,
     ) -> tuple[measured.Corrected, Estimate]:
         """Return result and estimate of `filter_step`; with gate 0 propagate only."""
@@ -180,7 +164,7 @@ class Correction:
                 self._prior_of_differing), before.evidence.poses < alarms.KNOWN_COUNT)
         return result, Estimate(*result.estimate, *before[6:])._replace(support=support)
 
-    def propagated(self, estimate: Estimate, track: Track, stamp_ns: int) -> Estimate:
+    def propagated(self, estimate: Estimate, track: ekf.Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
         return estimate if estimate.stamp_ns >= stamp_ns else self._step(
             estimate, track, stamp_ns, support=estimate.support)[1]
@@ -191,13 +175,13 @@ class Correction:
         P[6:STATE, 6:STATE] += self._drive[0, :6, :6]
         return estimate._replace(covariance=P)
 
-    def body_at_end(self, estimate: Estimate, track: Track) -> State:
+    def body_at_end(self, estimate: Estimate, track: ekf.Track) -> State:
         """Return the package at the newest sample of the tool, and write it into the samples."""
         return ekf.followed(self.row, self.law, estimate.moving, track.samples, 0, estimate.tool,
                             self.max_step, math.inf)[0]
 
     def updated(
-        self, before: Estimate, track: Track, measurement: Measurement, support: int = 0,
+        self, before: Estimate, track: ekf.Track, measurement: Measurement, support: int = 0,
     ) -> tuple[Estimate, str, Alarm | None]:
         """
         Return the estimate after a measurement, or before it if the pose is not of the package.
@@ -227,7 +211,7 @@ class Correction:
             after = self._restarted(after, before.memory)
         return after, name, alarm
 
-    def met(self, before: Estimate, track: Track, stamp_ns: int) -> Estimate:
+    def met(self, before: Estimate, track: ekf.Track, stamp_ns: int) -> Estimate:
         """
         Return an estimate after a stop of the tool, which may put the package on a support.
 

@@ -22,7 +22,7 @@ from bellows_ros.core.model.simulation import body_row, row_state
 from bellows_ros.core.observer import alarms, dynamics
 from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm, LOST
-from bellows_ros.core.observer.correction import Correction
+from bellows_ros.core.observer.correction import Correction, ON_SUPPORT
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.measurement import changed_by, OUTLIER_DISTANCE
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT, PoseSensor
@@ -35,7 +35,6 @@ from bellows_ros.core.observer.states import (
     STATE,
 )
 from bellows_ros.core.observer.support import Support
-from bellows_ros.core.observer.track import Track
 from bellows_ros.core.observer.wrenches import WrenchFilter
 from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
@@ -113,7 +112,7 @@ class Observer:
         self.counts = dict.fromkeys(('used', 'recovered', *VERDICTS), 0)
         self.alarms: list[Alarm] = []
         self.has_sensor = False
-        self._track, self._support = Track(), Support()
+        self._track, self._support = ekf.Track(), Support()
         self._estimates: list[Estimate] = []  # the oldest, and one after each measurement
         self._measurements: list[Measurement] = []
         self._pending: list[Measurement] = []  # newer than the tool
@@ -246,13 +245,11 @@ class Observer:
         if self._estimates or not self._track.count:
             return bool(self._estimates)
         stamps, _, ends, bodies = self._track.rows
-        stamp_ns, is_near = int(stamps[0]), self._support.at(int(stamps[0])) > 0
-        first = self._correction.start(stamp_ns, row_state(ends[0]), body_row(
-            bodies[0], self.body), self._known, is_near)
-        if self._error_at and not is_near:
-            first = self._correction.after_hanging(first)
-            first.covariance[:STATE, :STATE] += np.diag(np.square(self._error_at(stamp_ns)))
-        self._estimates.append(first)
+        stamp_ns = int(stamps[0])
+        std = ON_SUPPORT if self._support.at(stamp_ns) else (
+            self._error_at(stamp_ns) if self._error_at else None)
+        self._estimates.append(self._correction.start(stamp_ns, row_state(ends[0]), body_row(
+            bodies[0], self.body), self._known, std))
         return True
 
     def follow(

@@ -48,7 +48,6 @@ import numpy as np
 
 if TYPE_CHECKING:
     from bellows_ros.core.observer.correction import Correction
-    from bellows_ros.core.observer.track import Track
 
 NODE_NS = 4_000_000
 """Interval of the derivatives, ns."""
@@ -203,7 +202,7 @@ class WrenchFilter:
         return stamp_ns
 
     def corrected(
-        self, correction: Correction, before: Estimate, track: Track, until_ns: int,
+        self, correction: Correction, before: Estimate, track: ekf.Track, until_ns: int,
         has_camera: bool,
     ) -> Estimate:
         """Return an estimate corrected by the block of wrenches up to a stamp."""
@@ -237,7 +236,7 @@ class WrenchFilter:
         return after if is_used else before
 
     def is_lost(
-        self, correction: Correction, estimate: Estimate, track: Track, stamp_ns: int,
+        self, correction: Correction, estimate: Estimate, track: ekf.Track, stamp_ns: int,
         on_support: bool,
     ) -> bool:
         """Return whether the force of a package in the air has disappeared in last wrenches."""
