@@ -361,7 +361,7 @@ class PlanReport(OfPlan):
         """Return the numbers of the result by name."""
         requested, *beside = self.motions
         return {
-            'motion': requested, **self.result.numbers(),
+            'requested': requested, **self.result.numbers(),
             'beside': {name: self.motions[name].numbers() for name in beside},
             'fastest_scale': self.fastest and self.fastest.scale,
             'fastest_scale_std': self.fastest and self.fastest.scale_std,
