@@ -85,12 +85,13 @@ class SensorInput:
         """
         Record a message, and its age if it has a stamp; return its arrival (ns), monotonic.
 
-        The system's clock is read in 0.04 us instead of 2.5 us for the node's clock; both are
-        equal unless time is simulated.
+        The system's clock is read in 0.04 us instead of 2.5 us for the node's clock. Both are
+        equal unless time is simulated, which is checked once per report.
         """
         arrival_ns = time.monotonic_ns()
-        now_ns = self._clock.now().nanoseconds if self._clock.ros_time_is_active else (
-            time.time_ns())
+        if not self._count:
+            self._is_simulated = self._clock.ros_time_is_active
+        now_ns = self._clock.now().nanoseconds if self._is_simulated else time.time_ns()
         self.age = math.nan if stamp_ns is None else (now_ns - stamp_ns) / NS_PER_S
         if self.last_ns >= 0:
             self._intervals.append((arrival_ns - self.last_ns) / NS_PER_S)

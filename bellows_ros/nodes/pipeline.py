@@ -151,12 +151,15 @@ class Pipeline(Predicting):
         """Return the result of a step of the live predictor; start from rest if it raises."""
         before = self.live.state
         try:
-            return step(*arguments)
+            result = step(*arguments)
         except Exception:
             self.live.reset('failure')
             raise
-        finally:
-            self._report(before)
+        if self.live.state != before:
+            self.observing.log_alarms()
+            self.node.get_logger().info(f'Package: {self.live.state}.')
+            self.publish_state()
+        return result
 
     def publish(self, step: Callable[..., list[Prediction]], *arguments: Any) -> None:
         """Publish the predictions of a step, even if other outputs fail."""
@@ -210,13 +213,6 @@ class Pipeline(Predicting):
         self.compile_filter()
         landing.warm_up(self.live.values, self.live.model)
 
-    def _report(self, before: str) -> None:
-        """Log alarms and a change of the package's state."""
-        self.observing.log_alarms()
-        if self.live.state != before:
-            self.node.get_logger().info(f'Package: {self.live.state}.')
-            self.publish_state()
-
     def _tick(self) -> None:
         """Predict for waiting poses when no more messages arrive, and bridge a gap."""
         if self._is_compiling:
@@ -228,6 +224,7 @@ class Pipeline(Predicting):
                 now_ns - (live.tool.arrivals.newest_ns or 0) >= MAX_SILENCE_NS):
             self.publish(live.flush)
         self.publish(live.coast, now_ns)
+        self.observing.log_alarms()
         self.publish_state()
         if held := live.latest:
             self.load.watch_deflection(live.model, held)
