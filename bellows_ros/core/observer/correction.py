@@ -16,7 +16,7 @@ from bellows_ros.core.observer import measurement as measured
 from bellows_ros.core.observer.alarms import Alarm
 from bellows_ros.core.observer.measurement import changed_by, MeasuredPose
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT
-from bellows_ros.core.observer.results import Estimate, Evidence
+from bellows_ros.core.observer.results import Estimate, Evidence, USUAL
 from bellows_ros.core.observer.states import LARGEST, STATE
 from bellows_ros.core.observer.support import CONTACT
 from bellows_ros.core.parameters.values import Values
@@ -54,6 +54,9 @@ FIRST_MEMORY = 0.043
 LEAST_TOOL_NOISE = 5e-7, 2.5e-6
 """Smallest noise of the tool's position (m) and rotation (rad), of the size of the filter's step
 errors."""
+
+TOOL_LATENCY = 5e-3
+"""Largest delay of the tool's poses, s."""
 
 FIRST_PERIOD = 0.03
 """Initial time between measurements, s."""
@@ -161,7 +164,9 @@ class Correction:
             (self._drive, walk, self._marker[3][0]), MeasuredPose(
                 measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
                 self.holding_reach, self.largest, gate, before.evidence.means,
-                self._prior_of_differing), before.evidence.poses < alarms.KNOWN_COUNT)
+                self._prior_of_differing), before.evidence.poses < alarms.KNOWN_COUNT,
+            before.memory[ekf.COUNT] < alarms.KNOWN_COUNT
+            or bool(before.evidence.means[2].max() <= USUAL))
         return result, Estimate(*result.estimate, *before[6:])._replace(support=support)
 
     def propagated(self, estimate: Estimate, track: ekf.Track, stamp_ns: int) -> Estimate:
@@ -170,9 +175,16 @@ class Correction:
             estimate, track, stamp_ns, support=estimate.support)[1]
 
     def with_noise_of_sample(self, estimate: Estimate) -> Estimate:
-        """Return an estimate at a sample of the tool, whose noise appears at once in its twist."""
+        """
+        Return an estimate at a sample of the tool, whose noise appears at once in its twist.
+
+        A latency between tool and camera may be a delay of the tool.
+        """
         P = estimate.covariance.copy()
         P[6:STATE, 6:STATE] += self._drive[0, :6, :6]
+        late = min(abs(estimate.theta[states.LATENCY - STATE]), TOOL_LATENCY)
+        lag = late * np.r_[estimate.body[2], estimate.body[3]]
+        P[:6, :6] += lag[:, None] * lag
         return estimate._replace(covariance=P)
 
     def body_at_end(self, estimate: Estimate, track: ekf.Track) -> State:

@@ -464,12 +464,14 @@ class Corrected(NamedTuple):
 def filter_step(
     row: Any, law: LawTuple, estimate: ekf.EstimateTuple, samples: ekf.Samples, until_ns: int,
     max_step: float, noise: ekf.Noise, seen: MeasuredPose, is_early: bool,
+    learns: bool,
 ) -> Corrected:
     """
     Propagate an estimate to a later stamp, and correct it with a pose, if any.
 
-    An early pose is used outside the gate, too. Other inputs are as for `model_of` and
-    `predicted`. One kernel, with the model as an array, is faster to call from Python.
+    An early pose is used outside the gate, too. Whether the noise is learned from the pose is
+    given. Other inputs are as for `model_of` and `predicted`. One kernel, with the model as an
+    array, is faster to call from Python.
     """
     nominal, seconds = kernels.model_of(row, law), (until_ns - estimate[0]) / NS_PER_S
     after, gain = ekf.predicted(
@@ -495,7 +497,8 @@ def filter_step(
         if is_used:
             is_used, body, theta = posterior(body, theta, P, innovation, seen.largest)
         verdict = USED if is_used and inside else OUTSIDE
-        memory = updated_memory(memory, theta, seconds, innovation, gain, verdict == USED)
+        if learns:
+            memory = updated_memory(memory, theta, seconds, innovation, gain, verdict == USED)
     weight = math.sqrt(max(innovation.distance / OUTLIER_DISTANCE, 1.0))
     return Corrected(verdict, (until_ns, tool, body, theta, P, memory), exposed,
                      weight * innovation.z, weight * innovation.whitener,

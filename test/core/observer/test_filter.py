@@ -165,7 +165,7 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
             (NO_DRIVE, np.zeros(states.ROWS), False),
             MeasuredPose(*pose(e), noise, (*marker, sensor), 1.0, LARGEST, np.inf,
                          NO_MEANS, np.ones(4)),
-            False)
+            False, False)
         z, W = step.z, step.whitener
         H = observation(states.ROWS, step.exposed, np.diag(NOISE_STD**2), of_lip, WHITE_SHARE)
         root = np.linalg.inv(W)
