@@ -432,7 +432,7 @@ def _squared_length(at: Solution, step: Array, H: Arrow) -> float:
 
 def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
     """Return unknowns with the whitened segments about courses, and information and slope."""
-    (H, g), pool, s = problem.prior(theta), problem.held.pool, problem.shared
+    (H, g), pool = problem.prior(theta), problem.held.pool
     indices = list(map(problem.index, range(len(problem.outlines))))
     parts, found = pool.hold(
         partial(_whitened, problem.local), [theta[index] for index in indices], problem.held,
@@ -442,9 +442,7 @@ def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
         J, r, _ = residuals.at_rest(problem.local, theta[indices[0]])
         rows.append((0, J.T @ J, J.T @ r))
     for number, information, slope in rows:
-        H.shared[:] += information[:s, :s]
-        H.coupling[number] += information[s:, :s]
-        H.own[number] += information[s:, s:]
+        H.add(number, information)
         g[indices[number]] += slope
     return Solution(problem, theta, courses, parts, [sums for sums, *_ in found], H, g)
 

@@ -79,9 +79,7 @@ class Filters(NamedTuple):
     @classmethod
     def of(cls, problem: Problem, theta: Array, segment: Segment, course: Course) -> 'Filters':
         """Return the filters of a segment about its first rest; theta is local."""
-        period, count = segment.bin_ns / NS_PER_S, len(segment.bins_ns)
-        padded = 2 * ((count + round(BLOCK_DURATION / period) + 1) // 2)
-        frequency = np.asarray(np.fft.rfftfreq(padded, period), np.float64)
+        period, (padded, frequency) = segment.bin_ns / NS_PER_S, _frequencies(segment)
         G, path = _responses(problem, theta, segment, course, frequency)
         of_package, of_tool = (noise_spectrum(noise, step, frequency) / period for noise, step in (
             (segment.package_noise._replace(std=course.std), segment.period),
@@ -92,6 +90,31 @@ class Filters(NamedTuple):
         return cls(
             G, path, root, -of_tool[:, :, None] * _adjoint(G) @ _adjoint(root),
             np.mean(np.einsum('fii->fi', by_tool).real, axis=0), logs / padded)
+
+
+def _frequencies(segment: Segment) -> tuple[int, Array]:
+    """Return the length of a padded series, and its frequencies (F,), Hz."""
+    period = segment.bin_ns / NS_PER_S
+    padded = 2 * ((len(segment.bins_ns) + round(BLOCK_DURATION / period) + 1) // 2)
+    return padded, np.asarray(np.fft.rfftfreq(padded, period), np.float64)
+
+
+def by_noise(problem: Problem, theta: Array, segment: Segment, course: Course) -> Array:
+    """
+    Return the part (q, q) of the information that is due to noise of the tool; theta is local.
+
+    The likeliest path keeps noise of the spectrum Q - Q G^H C^-1 G Q, which shakes the simulated
+    package by the derivatives of G.
+    """
+    filters, frequency = Filters.of(problem, theta, segment, course), _frequencies(segment)[1]
+    kept = noise_spectrum(segment.tool_noise, segment.tool_period, frequency)[:, :, None] * np.eye(
+        6) * (NS_PER_S / segment.bin_ns) - filters.likeliest @ _adjoint(filters.likeliest)
+    slopes = [filters.whitening @ (_responses(
+        problem, theta + step, segment, course, frequency)[0] - filters.package) / DIFFERENCE
+              for step in DIFFERENCE * np.eye(len(theta))]
+    shaken = [slope @ kept for slope in slopes]
+    return len(segment.bins_ns) / len(frequency) * np.real(np.reshape(
+        shaken, (len(theta), -1)) @ np.conj(np.reshape(slopes, (len(theta), -1))).T)
 
 
 def _responses(

@@ -330,6 +330,13 @@ class Arrow:
     own: Array
     places: Places
 
+    def add(self, number: int, information: Array) -> None:
+        """Add information (s + o, s + o) of a recording in place."""
+        size = len(self.shared)
+        self.shared[:] += information[:size, :size]
+        self.coupling[number] += information[size:, :size]
+        self.own[number] += information[size:, size:]
+
     def damped(self, damping: float) -> 'Arrow':
         """Return the matrix with its diagonal increased by a fraction."""
         return replace(self, shared=self.shared * (1.0 + damping * np.eye(len(self.shared))),

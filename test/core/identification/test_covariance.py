@@ -1,5 +1,7 @@
 """Standard errors of the output error: against the bound, and against the scatter of fits."""
 
+from dataclasses import replace
+
 from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.identification.fitting import output_error
@@ -78,6 +80,18 @@ def test_intervals_hold_the_truth(kind, runs):
     # of 95 % nominally; errors of one fit are hardly correlated
     assert inside > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / z.size)
     assert np.sqrt(np.mean(z**2)) > 0.6  # and they are not simply wide
+
+
+def test_noise_of_a_tool_at_rest_is_no_information():
+    """Its noise shakes the simulated package, too; the sag alone shows K z."""
+    moving = Shake(3).trajectory(DURATION, RATE_HZ)
+    tool = replace(moving, twist=np.zeros((len(moving), 6)), **{name: np.repeat(
+        getattr(moving, name)[:1], len(moving), axis=0) for name in ('position', 'rotation')})
+    rng, noise = np.random.default_rng(6), BodyNoise(STD)
+    body = simulate(TRUTH, PLATE, tool, gravity=GRAVITY)
+    seen = [with_errors(own, drawn('white', len(own), rng)) for own in (tool, body)]
+    fit = output_error([Segment(*seen, PLATE, GRAVITY, noise, noise)], AXISYMMETRIC, TRUTH)
+    assert np.flatnonzero(np.isfinite(np.diag(fit.covariance))).tolist() == [1]
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: 40 simulations take a minute')
