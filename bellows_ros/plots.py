@@ -198,11 +198,10 @@ def plan_figure(report: Any) -> Any:
     (t, tool, values, std), least = motion.curves, report.source.values.safety.least
     seen, duration, (begin, end) = values[:, :3] - tool, motion.source.duration, motion.drawn
     unknown = ': set cup.lip_radius, vacuum.holding' * (report.prediction.grip is None)
-    note = f'{report.source.path}, {name}; dashed: safety.least; red area: the cup lets go'
+    note = f'{report.source.path}, {name}; dashed: safety.least; red: the cup lets go'
     if end < duration:
         note = f'{note}; the worst {end - begin:.0f} of {duration:.0f} s'
-    note += '; dotted: end of the plan' * (end > duration)
-    note += '; bands: two standard deviations' * bool(std.any())
+    note += '; dotted: the end' * (end > duration) + '; bands: ± 2 std' * bool(std.any())
     t, values, std, seen, tool = (rows[(t >= begin) & (t <= end)] for rows in (
         t, values, std, seen, tool))
     with picture('Package and grip along the plan', note) as figure:
