@@ -397,7 +397,8 @@ class PackageInput:
         """Return the line of the diagnostics on the wrenches, if there are any."""
         if not self._is_used(self._wrench_in, 'wrench.'):
             return None
-        status = health.input_status('wrench', self._wrench_in.report(self._no_wrench))
+        status = health.input_status('wrench', self._wrench_in.report(self._no_wrench), (
+            Level.WARN if self._wrench_in.last_ns < 0 else Level.ERROR))
         fault = self._live.wrench_fault
         return status._replace(finding=health.fact(
             'wrench', Level.ERROR, self._wrench_in.topic,
@@ -425,4 +426,6 @@ class PackageInput:
             return status._replace(finding=health.fact(
                 'package_world', why=f": {self._measured_in.topic} is in '{shown(self._frame)}', "
                 f"the tool in '{shown(live.frame_id)}', so its poses are not used"))
-        return status if live.attached else status.at_level(min(status.level, Level.WARN))
+        if live.attached and self._measured_in.last_ns >= 0:
+            return status
+        return status.at_level(min(status.level, Level.WARN))

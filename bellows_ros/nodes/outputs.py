@@ -182,7 +182,7 @@ class Outputs:
                 part.advertise(node)
         self._last_state = ''
         self._was_ok: bool | None = None
-        self._drawn_ns = -1
+        self._drawn_ns = self._newest_ns = -1
 
     def _make_pose(self, now: Prediction) -> bytes:
         """Return the pose of the package in the frame of the tool's poses."""
@@ -219,6 +219,9 @@ class Outputs:
                     messages.VECTOR, (messages.LIP_FRAME,), prediction.stamp_ns,
                     # many plots cannot show infinity
                     *(min(factor, 1000.0) for factor in (*factors, min(factors)))))
+        if 0 <= self._newest_ns - prediction.stamp_ns < 1_000_000_000:  # already extrapolated
+            return
+        self._newest_ns = prediction.stamp_ns
         self._odometry.send(prediction)
         self._deflection.send(prediction)
         if not 0 <= prediction.stamp_ns - self._drawn_ns < 40_000_000:  # 25 Hz

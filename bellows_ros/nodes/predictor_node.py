@@ -262,6 +262,8 @@ class Diagnostics:
             for line in lines]
         self._publisher.publish(message)
         now, log = time.monotonic(), self._node.get_logger()
+        good = {line.name for line in lines if line.level == Level.OK}
+        self._due = {key: due for key, due in self._due.items() if key[0] not in good}
         for line in lines:
             code, key = line.finding.code, (line.name, line.finding.code, line.level)
             if line.level == Level.OK or code in UNLOGGED or code.startswith('alarm_'):

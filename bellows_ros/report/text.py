@@ -156,6 +156,9 @@ def print_identification(result: 'Identification', out: Any) -> None:
     out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     out.line()
     for simulated in verdict.simulated if verdict else ():
+        if np.isnan(simulated.rms).any():
+            out.paragraph(f'The free simulation of {simulated.bag} with this cup diverges.')
+            continue
         factors, units = (DISPLAY_FACTORS, DISPLAY_UNITS) if len(simulated.axes) > 1 else (
             np.array([1e3]), ('mrad',))
         out.table([

@@ -183,7 +183,7 @@ def _require_request(
         raise BellowsError(
             f'release, target and target_rotation are {switched}, {target} and {target_rotation}; '
             f'expected finite numbers, a target of at most {MAX_TARGET:g} m, and a quaternion of '
-            'length 1. Is the target in mm?')
+            f'length 1.{"" if is_near else " Is the target in mm?"}')
 
 
 def toss_plan(

@@ -237,7 +237,7 @@ def segments_of(recording: Recording, number: int = 0) -> Segments:
     for first, last, _ in spans:
         poses, seen = (each.select((each.stamps_ns >= first) & (each.stamps_ns <= last))
                        for each in (tool, package))
-        if last - first > MIN_SEGMENT * NS_PER_S and seen.valid.any():
+        if last - first > MIN_SEGMENT * NS_PER_S and np.count_nonzero(seen.valid) > 1:
             valid = seen.select(seen.valid)
             parts.append(Segment(
                 poses, valid, recording.payload, recording.settings.gravity, of_tool, of_package,

@@ -21,7 +21,7 @@ from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import body_row, row_state
 from bellows_ros.core.observer import alarms, dynamics
 from bellows_ros.core.observer import filter as ekf
-from bellows_ros.core.observer.alarms import Alarm, LOST
+from bellows_ros.core.observer.alarms import Alarm, DIFFERS, LOST
 from bellows_ros.core.observer.correction import Correction, ON_SUPPORT
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
 from bellows_ros.core.observer.measurement import changed_by, OUTLIER_DISTANCE
@@ -150,8 +150,9 @@ class Observer:
 
     def _keep(self) -> None:
         """Keep the newest estimate of camera, cup and package if its poses were usual."""
-        if self._estimates and not self._is_troubled and not self._estimates[-1].gated_ns:
-            self._known = self._estimates[-1]
+        last = self._estimates[-1] if self._estimates else None
+        if last and not last.gated_ns and last.stamp_ns - self._troubled_ns > REPEATED_NS:
+            self._known = last
 
     def _begin_with(self, kept: tuple[int, ...]) -> None:
         """Begin without a motion, with the kept rows of previous estimates."""
@@ -165,7 +166,7 @@ class Observer:
         self._track.count = 0
         self._newest = None
         self.wrenches.clear()
-        self._is_troubled = False
+        self._troubled_ns = 0
         self._predict_with(known.theta)
 
     def _predict_from(self, newest: Estimate) -> None:
@@ -373,7 +374,8 @@ class Observer:
             self.counts[verdict] += 1
         if verdict == 'recovered':
             after = after.with_rows(self._known, KNOWN_ROWS)
-        self._is_troubled |= alarm is not None or verdict == 'recovered'
+        if verdict == 'recovered' or (alarm and alarm.kind != DIFFERS):
+            self._troubled_ns = after.stamp_ns
         self._estimates.append(after)
         if verdict and self._may_fall(stamp_ns):
             alarm = None  # the next poses decide between a fall and a deviation

@@ -177,7 +177,7 @@ def _nearest(name: str) -> str:
     in_group = inside or [other for other in names if group and other.startswith(f'{group}.')]
     leaves = {} if in_group else {o.rpartition('.')[2]: o for o in reversed(names)}
     similar = [] if inside else get_close_matches(name, in_group or names, 1, MIN_SIMILARITY)
-    similar += [leaves[word] for word in get_close_matches(leaf, leaves, 1)]
+    similar += [leaves[word] for word in get_close_matches(leaf, leaves, 1, MIN_SIMILARITY)]
     if similar:
         return f"Did you mean '{similar[0]}'?"
     known = in_group or dict.fromkeys(
