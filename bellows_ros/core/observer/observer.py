@@ -166,7 +166,7 @@ class Observer:
         self._track.count = 0
         self._newest = None
         self.wrenches.clear()
-        self._troubled_ns = 0
+        self._troubled_ns = -REPEATED_NS
         self._predict_with(known.theta)
 
     def _predict_from(self, newest: Estimate) -> None:
