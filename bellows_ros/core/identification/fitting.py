@@ -22,6 +22,7 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.identification.causes import causes_of
 from bellows_ros.core.identification.estimate import (
+    approach,
     GROSS_CHI2,
     MAX_NOISE_CHI2,
     MAX_STEPS,
@@ -197,6 +198,11 @@ class Extension(NamedTuple):
 
 def _extensions(richer: Structure | None, stretch: str, relaxation: str) -> Iterator[Extension]:
     """Yield the extensions to be tested; those that are 'on' need not extrapolate."""
+    if relaxation != 'off':
+        yield Extension(weak_prior(['relaxation']), None, _explains_most, (
+            'fit.relaxation: the recordings show no relaxation that exceeds its standard error. '
+            'Hold a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
+            if relaxation == 'on' else '')
     if richer is not None:
         yield Extension({}, richer, lambda end, _: has_coupling(end.cup.stiffness))
     if stretch != 'off':
@@ -204,11 +210,6 @@ def _extensions(richer: Structure | None, stretch: str, relaxation: str) -> Iter
             (_is_passive, 'fit.stretch: the recordings show no stretch that exceeds its standard '
              'error. Record two masses that differ by a factor of two, or set fit.stretch: auto.')
             if stretch == 'on' else (_extrapolates,)))
-    if relaxation != 'off':
-        yield Extension(weak_prior(['relaxation']), None, _explains_most, (
-            'fit.relaxation: the recordings show no relaxation that exceeds its standard error. '
-            'Hold a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
-            if relaxation == 'on' else '')
 
 
 def _tried(found: Solution, extension: Extension, report: Report) -> Solution | None:
@@ -223,10 +224,15 @@ def _tried(found: Solution, extension: Extension, report: Report) -> Solution | 
         couplings = structure.couplings if structure else []
         return np.asarray([*couplings, *(row for name in more for row in wide.places[name][0])])
 
-    near = found.freed(more, structure)
-    H, g = near.information, near.slope
-    rest = ~np.isin(np.arange(len(g)), place(near.problem))
-    if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
+    if found.is_plausible:
+        near = found.freed(more, structure)
+        H, g = near.information, near.slope
+        rest = ~np.isin(np.arange(len(g)), place(near.problem))
+        if H.fall(g, rest | True) - H.fall(g, rest) <= MIN_SQUARED_DISTANCE:
+            return None
+    elif 'relaxation' in more:  # without which the search went astray
+        near = approach(found.problem.freed(found.problem.start, more, structure), report)
+    else:
         return None
     end = settled(near, report)
     if end.converged and end.misfit < found.misfit and holds(end, found):

@@ -24,6 +24,7 @@ from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.savgol import correlated
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, UndeterminedError, UnstableError
+from benchmarks import rubber
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -333,13 +334,20 @@ def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
 
 
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness():
-    rubber = replace(TRUTH, relaxation=(0.15, 0.16))
+    soft = replace(TRUTH, relaxation=(0.15, 0.16))
     fit = output_error(
-        [measured(12, cup=rubber)], AXISYMMETRIC, scaled(1.5), relaxation='auto')
-    off = np.abs(np.subtract(fit.relaxation, rubber.relaxation))
+        [measured(12, cup=soft)], AXISYMMETRIC, scaled(1.5), relaxation='auto')
+    off = np.abs(np.subtract(fit.relaxation, soft.relaxation))
     assert np.all(off < 4.0 * np.array(fit.relaxation_std))
     assert max(fit.relaxation_std) < 0.1
     assert np.all(np.abs(z_of(fit)) < 4.0)
+
+
+@pytest.mark.stress
+def test_rubber_without_whose_relaxation_the_search_goes_astray():
+    fit = rubber.identified(rubber.recorded(0.3, 1, rubber.multisine(1), 30.0), 'auto')
+    assert fit.converged
+    assert rubber.error(fit, 0.3, *rubber.VALIDATIONS['hold of 20 degrees, 7 s']) < 0.02
 
 
 @pytest.mark.stress
