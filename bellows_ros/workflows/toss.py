@@ -64,7 +64,7 @@ class TossResult(plan.OfPlan):
 
     @property
     def assumed(self) -> bool:
-        """Whether release.* is not given, and a delay of the valve is assumed."""
+        """Whether at most a delay is given, and its standard deviation is assumed."""
         return conversion.with_assumed_release(self.source.values) is not self.source.values
 
     @property

@@ -300,11 +300,12 @@ def release_factor(values: Values) -> Array:
 
 
 def with_assumed_release(values: Values) -> Values:
-    """Return values with the law of a valve of unknown delay, 0 to `MAX_DELAY`, if not given."""
-    if any(release_law_of(values)) or any(values.release.std):
+    """Return values with a delay uncertain by 0 to `MAX_DELAY`, if at most a delay is given."""
+    if any(release_law_of(values)[1:]) or any(values.release.std):
         return values
     return values.replaced({
-        'release.delay': 0.5 * MAX_DELAY, 'release.std': (MAX_DELAY / 12.0**0.5, *(0.0,) * 5)})
+        'release.delay': values.release.delay or 0.5 * MAX_DELAY,
+        'release.std': (MAX_DELAY / 12.0**0.5, *(0.0,) * 5)})
 
 
 def beyond_masses(values: Values) -> float:

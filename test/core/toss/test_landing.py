@@ -115,13 +115,15 @@ def test_what_cannot_be_tossed_is_counted(case):
     assert len(drawn.errors) == 12 - drawn.failed
 
 
-def test_an_unknown_valve_is_anywhere_within_its_longest_delay():
-    unknown = resolve({**tosses.values(), 'release.delay': 0.0, 'release.fall': 0.0,
-                       'release.std': (0.0,) * 6})
+@pytest.mark.parametrize(('delay', 'expected'), [(0.0, 0.5 * MAX_DELAY), (0.02, 0.02)])
+def test_a_release_of_at_most_a_delay_is_anywhere_within_the_longest_delay(delay, expected):
+    unknown = VALUES.replaced({
+        'release.delay': delay, 'release.fall': 0.0, 'release.std': (0.0,) * 6})
     assumed = with_assumed_release(unknown)
-    assert assumed.release.delay == 0.5 * MAX_DELAY
+    assert assumed.release.delay == expected
     assert release_factor(assumed)[0, 0] == pytest.approx(MAX_DELAY / 12.0**0.5)
-    assert with_assumed_release(VALUES) is VALUES
+    for known in ({'release.std': (1e-3, *(0.0,) * 5)}, {'release.fall': 0.03}):
+        assert with_assumed_release(given := unknown.replaced(known)) is given
 
 
 def test_a_mass_beyond_the_drops_makes_the_law_of_release_less_certain():
