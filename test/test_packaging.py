@@ -1,11 +1,13 @@
-"""What pip and ROS learn about the package, and what they install."""
+"""What pip and ROS learn about the package, and what they install and run."""
 
 import ast
 from importlib.metadata import PathDistribution
 import json
+from pathlib import Path
 import re
 import runpy
 import shlex
+import signal
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -15,6 +17,8 @@ import bellows_ros
 from bellows_ros.errors import install, PACKAGES
 import pytest
 from ruamel.yaml import YAML
+
+from .nodes.conftest import MS, Peer, pose_at, START
 
 COMMANDS = {
     'predictor': 'bellows_ros.nodes.command:predictor',
@@ -72,6 +76,64 @@ def test_wheel_holds_the_package_and_its_share_and_no_tests(wheel, root, tmp_pat
     hard = {need for need in metadata.requires or () if 'extra' not in need}
     assert {need.split('>')[0] for need in hard} == {
         'numpy', 'scipy', 'rosbags', 'ruamel.yaml', 'click', 'rich'}
+
+
+@pytest.fixture
+def installed(tmp_path, copy_sources, user_environment):
+    """Build a copy with the colcon of this environment; give its prefix and a shell for it."""
+    pytest.importorskip('colcon_ros', reason="no colcon-ros here (pip install '.[test]')")
+    copy_sources(tmp_path / 'src' / 'bellows_ros')
+    environment = {**user_environment, 'COLCON_HOME': str(tmp_path / 'colcon_home')}
+    done = subprocess.run(
+        [str(Path(sys.executable).with_name('colcon')), 'build'],
+        cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'Finished <<< bellows_ros' in done.stdout
+    prefix = tmp_path / 'install' / 'bellows_ros'
+    modules = prefix / f'lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages'
+    return prefix, environment | {
+        'AMENT_PREFIX_PATH': str(prefix), 'PYTHONPATH': str(modules)}
+
+
+@pytest.mark.lane
+def test_colcon_installs_every_file_and_a_node_that_predicts(installed, root, ros):
+    """Files where Python and ROS look; the node in a cell's namespace, with a driver's topic."""
+    from geometry_msgs.msg import PoseStamped
+
+    prefix, environment = installed
+    code = 'import bellows_ros as b; print(b.__file__, b.__version__)'
+    file, version = subprocess.run(
+        [sys.executable, '-c', code], env=environment, cwd=prefix, capture_output=True,
+        text=True).stdout.split()
+    assert Path(file).is_relative_to(prefix) and version == bellows_ros.__version__
+    share = prefix / 'share' / 'bellows_ros'
+    for source in [root / 'package.xml', *root.glob('launch/*.py'), *root.glob('config/*.yaml')]:
+        assert (share / source.relative_to(root)).read_bytes() == source.read_bytes()
+    assert len(list((share / 'launch').iterdir())) == 2
+    assert (share.parent / 'ament_index/resource_index/packages/bellows_ros').is_file()
+    assert {path.name for path in (prefix / 'lib/bellows_ros').iterdir()} == {*COMMANDS}
+    assert not (prefix / 'bin').exists()
+
+    user = Peer(ros, 'user')
+    answers, writer = user.hears(PoseStamped, '/cell/package/pose'), user.writes(
+        PoseStamped, '/driver/pose')
+    process = subprocess.Popen(
+        [prefix / 'lib/bellows_ros/predictor', '--ros-args', '--params-file',
+         root / 'bags/package.yaml', '-r', '__ns:=/cell', '-r', 'tool_arm/pose:=/driver/pose',
+         '-r', '__node:=left'], env=environment, stderr=subprocess.STDOUT, stdout=-1, text=True)
+    try:
+        user.connect()
+        for k in range(100):
+            if len(answers) < 5:  # the first may meet nobody yet
+                writer.publish(pose_at(START + k * 2 * MS, frame_id='base'))
+                before = len(answers)
+                ros.spin_until(lambda before=before: len(answers) > before, 1.0)
+        process.send_signal(signal.SIGINT)
+        log = process.communicate(timeout=300)[0]
+    finally:
+        process.kill()
+    assert len(answers) == 5 and process.returncode == 0
+    assert ' predictions' in log and 'Traceback' not in log
 
 
 def test_version_and_licence_agree_everywhere(root):

@@ -1,11 +1,27 @@
-"""Output is written whole or not at all."""
+"""
+Output is written whole or not at all, also if the process is killed at any moment.
 
+    python -m test.files.test_atomic NAME PATH
+
+writes an output again and again until it is killed, and prints a dot when both contents were
+written once.
+"""
+
+from contextlib import contextmanager
+from itertools import cycle
 import json
 import os
+from pathlib import Path
 import re
+import resource
+import signal
+import subprocess
+import sys
+import time
 
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.atomic import require_target, whole, write_bytes, write_text
+from bellows_ros.files.atomic import PREFIX, require_target, whole, write_bytes, write_text
+from bellows_ros.files.bags import as_messages, write_bag
 from bellows_ros.files.results import write_json
 import numpy as np
 from numpy.testing import assert_array_equal
@@ -71,3 +87,111 @@ def test_every_digit_survives_a_round_trip(tmp_path):
         'bags': ['a', 'ü\u2028"'], 'refused': {'nan': [1, 2]}, 'ok': True, 'none': None}
     assert result['condition_number'] is None  # what is not known
     assert result['damping_std'] == [[None] * 6] * 6
+
+
+POSE = 'geometry_msgs/msg/PoseStamped'
+STAMPS = 10**18 + 10**7 * np.arange(400)
+VALUES = np.tile([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0], (len(STAMPS), 1))
+
+
+def result(path, number):
+    """Write JSON."""
+    write_json(path, {'number': number, 'values': VALUES[:200]})
+
+
+def recording(storage, zstd):
+    """Return a function that writes a recording."""
+    def write(path, number):
+        recorded = as_messages('/pose', POSE, STAMPS, VALUES + number)
+        write_bag(path, [recorded], storage, zstd, replace=True)
+
+    return write
+
+
+def carelessly(path, number):
+    """Write carelessly for some milliseconds: a control whose partial files kills must find."""
+    with path.open('wb', buffering=0) as file:
+        for _ in range(5000):
+            file.write(bytes([number]) * 100)
+
+
+WRITERS = {
+    'fit.json': result, 'mcap': recording('mcap', False),
+    'sqlite3': recording('sqlite3', True), 'careless': carelessly}
+
+
+KILLS = 6  # of each kind
+
+
+def content(path):
+    """Return all files of an output by name, or None where there is none."""
+    if path.is_dir():
+        return {file.name: file.read_bytes() for file in path.iterdir()}
+    return {path.name: path.read_bytes()} if path.exists() else None
+
+
+def both(folder, name):
+    """Return both contents of an output."""
+    found = []
+    for number in (0, 1):
+        WRITERS[name](folder / name, number)
+        found.append(content(folder / name))
+    return found
+
+
+@pytest.mark.parametrize('name', WRITERS)
+def test_a_killed_writer_leaves_no_partial_file(name, tmp_path):
+    """And one that writes carelessly does, so that partial files are found."""
+    whole, torn = [*both(tmp_path, name), None], 0
+    for k in range(KILLS):
+        with subprocess.Popen([sys.executable, '-m', __name__, name, str(
+                tmp_path / name)], cwd=Path(__file__).parents[2], stdout=-1) as process:
+            assert process.stdout.read(1) == b'.'
+            time.sleep(1e-3 * k)  # the moment is the point, nothing is awaited
+            process.kill()
+        torn += content(tmp_path / name) not in whole
+        assert all(each.name == name or each.name.startswith(PREFIX)
+                   for each in tmp_path.iterdir())
+    assert (torn > 0) == (name == 'careless')
+
+
+@contextmanager
+def room_for(size):
+    """Let no file grow beyond a size, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize('is_replaced', [False, True])
+@pytest.mark.parametrize('name', [name for name in WRITERS if name != 'careless'])
+def test_a_full_disk_leaves_the_old_output_or_none(name, is_replaced, tmp_path):
+    contents = both(tmp_path, name)
+    for size in (0, 100, max(map(len, contents[1].values())) - 1):
+        place = tmp_path / f'{size}'
+        place.mkdir()
+        if is_replaced:
+            WRITERS[name](place / name, 0)
+        with pytest.raises(BellowsError, match='cannot be written'), room_for(size):
+            WRITERS[name](place / name, 1)
+        assert content(place / name) == (contents[0] if is_replaced else None)
+        assert [path.name for path in place.iterdir()] == [name] * is_replaced
+
+
+def main():
+    """Write both contents in turn."""
+    name, path = sys.argv[1:]
+    for number in (0, 1):
+        WRITERS[name](Path(path), number)
+    print('.', end='', flush=True)
+    for number in cycle((0, 1)):
+        WRITERS[name](Path(path), number)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,21 +1,24 @@
-"""Reading recordings that rosbags wrote, in every storage and compression, and what is refused."""
+"""Recordings of rosbags in all storages and compressions: whole, damaged and written ones."""
 
 import json
 import re
+import time
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import read_streams, topics
+from bellows_ros.files.bags import as_messages, read_streams, STORAGES, topics, write_bag
 from bellows_ros.files.messages import REASONS
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
+from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
 from . import recordings as made
 
 COUNT = 20
+PATIENCE = 5.0  # s of this process, for what takes milliseconds
 
 
 def change_metadata(folder, **changes):
@@ -175,3 +178,120 @@ def test_what_is_no_recording_is_refused(tmp_path):
                         ('/dev/zero', ''), ('a' * 5000, ''), (old, 'rosbags-convert --src'),
                         (inner, 'it holds recordings, first, second.')):
         assert words in error_of(path) and len(error_of(path)) < 700
+
+
+def is_read(path, name='/tool/pose'):
+    """Return whether a recording is read, all of it; otherwise it is refused with a remedy."""
+    begin = time.process_time()
+    try:
+        topics(path)
+        stream = read_streams(path, {'p': name})['p']
+    except BellowsError as error:
+        assert str(path) in str(error) and len(str(error)) < 2000 and error.exit_code == 2
+        return False
+    finally:
+        assert time.process_time() - begin < PATIENCE
+    assert np.all(np.isfinite(stream.position)) and np.all(np.diff(stream.stamps_ns) > 0)
+    assert len(stream) + sum(map(len, stream.refused.values())) == COUNT
+    return True
+
+
+def test_a_file_truncated_anywhere_is_refused(bag):
+    file = made.storage_file(bag)
+    whole, rng = file.read_bytes(), np.random.default_rng(1)
+    places = {0, 1, 8, 9, 16, 100, len(whole) - 1, len(whole) - 8, len(whole) - 37}
+    for size in places | {int(x) for x in rng.integers(0, len(whole), size=30)}:
+        file.write_bytes(whole[:size])
+        assert not is_read(bag), f'truncated to {size} of {len(whole)} bytes'
+    file.write_bytes(whole)
+    assert is_read(bag)
+
+
+def test_damage_is_named_with_the_messages_before_it_and_the_remedy(tmp_path):
+    """Of a recording of several chunks, with damage in the last one."""
+    one = made.poses(1)[0][1]
+    bag = made.write(tmp_path / 'b', {('/a', made.POSE): [
+        (int(t), one) for t in made.stamps(30_000)]}, compression='STORAGE')
+    file = made.storage_file(bag)
+    whole = bytearray(file.read_bytes())
+    whole[whole.rindex(b'\x28\xb5\x2f\xfd')] ^= 1  # where a compressed chunk begins
+    file.write_bytes(whole)
+    with pytest.raises(BellowsError, match=r"after [1-9]\d+ messages.*'mcap recover'"):
+        read_streams(bag, {'p': '/a'})
+
+
+def test_a_folder_that_was_not_closed_is_refused_with_reindex(tmp_path):
+    bag = made.write(tmp_path / 'b', {('/a', made.POSE): made.poses(COUNT)}, 'sqlite3')
+    journal = bag / 'b.db3-wal'
+    journal.write_bytes(b'log')
+    with pytest.raises(BellowsError, match=r'b\.db3 was not closed.*ros2 bag reindex'):
+        topics(bag)
+    journal.unlink()
+    (bag / 'metadata.yaml').unlink()
+    with pytest.raises(BellowsError, match=r'metadata\.yaml.*ros2 bag reindex'):
+        topics(bag)
+    assert is_read(made.storage_file(bag), '/a')
+
+
+def recorded(**options):
+    """Return poses to record."""
+    return as_messages('/a', made.POSE, made.stamps(COUNT), made.pose_values(COUNT), **options)
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+@pytest.mark.parametrize('zstd', [False, True])
+def test_every_form_is_read_by_this_package_and_by_rosbags(tmp_path, storage, zstd):
+    path = tmp_path / 'bag'
+    write_bag(path, [recorded()], storage, zstd)
+    stream = read_streams(path, {'p': 'a'})['p']
+    assert_array_equal(stream.position, made.pose_values(COUNT)[:, :3])
+    assert_array_equal(stream.stamps_ns, made.stamps(COUNT))
+    with AnyReader([path]) as reader:
+        messages = [(t, reader.deserialize(data, c.msgtype)) for c, t, data in reader.messages()]
+    assert [t for t, _ in messages] == list(made.stamps(COUNT))
+    assert_array_equal(
+        [[m.pose.position.x, m.pose.orientation.w] for _, m in messages],
+        made.pose_values(COUNT)[:, [0, 6]])
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_topics_are_recorded_in_the_order_messages_were_received_in(tmp_path):
+    t = made.stamps(COUNT)
+    late = t + 5_000_000
+    write_bag(
+        tmp_path / 'b',
+        [
+            recorded(log_times_ns=late[::-1]),
+            as_messages('/b', made.TWIST, t, made.twist_values(COUNT))])
+    with AnyReader([tmp_path / 'b']) as reader:
+        order = [(t, c.topic) for c, t, _ in reader.messages()]
+    assert order == sorted([(x, '/a') for x in late] + [(x, '/b') for x in t])
+    stream = read_streams(tmp_path / 'b', {'p': 'a'})['p']
+    assert_array_equal(stream.stamps_ns, t[-1:])
+    assert stream.refused == {'backward_stamp': tuple(range(1, COUNT))}
+
+
+def test_a_folder_with_anything_else_is_never_replaced(tmp_path):
+    path = tmp_path / 'b'
+    write_bag(path, [recorded()])
+    (path / 'thesis.tex').write_text('precious')
+    with pytest.raises(BellowsError, match=r"'thesis\.tex'"):
+        write_bag(path, [recorded()], replace=True)
+    (path / 'thesis.tex').rename(tmp_path / 'file')
+    (path / 'metadata.yaml').unlink()
+    with pytest.raises(BellowsError, match=r'metadata\.yaml'):
+        write_bag(path, [recorded()], replace=True)
+    with pytest.raises(BellowsError, match='file'):
+        write_bag(tmp_path / 'file', [recorded()], replace=True)
+    assert (tmp_path / 'file').read_text() == 'precious'
+
+
+def test_what_cannot_be_recorded_is_refused(tmp_path):
+    t = made.stamps(3)
+    with pytest.raises(BellowsError, match="'/a'.* 1970"):
+        as_messages('/a', made.POSE, t - 2 * made.EPOCH_NS, np.zeros((3, 7)))
+    with pytest.raises(BellowsError):
+        write_bag(tmp_path / 'b', [])
+    with pytest.raises(BellowsError):
+        write_bag(tmp_path / 'none' / 'b', [recorded()])
+    assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,7 @@
-"""The commands as a user types them: help without ROS, plain errors, an orderly end."""
+"""The commands as a user types them: help, plain errors, an orderly end, a domain of their own."""
 
 from itertools import count
+import os
 from pathlib import Path
 import signal
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import time
 
 from bellows_ros.core.parameters.table import parameters_for
+from bellows_ros.nodes import domain
 from bellows_ros.nodes.command import help_text, interface
 from bellows_ros.nodes.command import run as run_node
 import pytest
@@ -134,3 +136,35 @@ def test_process_ends_at_once_while_it_compiles(run_predictor, tmp_path):
     assert (process.returncode, out) == (0, '')
     assert 'Listens to' not in log and 'Traceback' not in log
     assert 0 < compiled < 40, 'it went on compiling'
+
+
+SEEKER = """
+import sys
+from bellows_ros.nodes.domain import unused_domain
+print(unused_domain(), flush=True)
+sys.stdin.read()
+"""
+
+
+def test_seekers_at_the_same_time_find_different_domains():
+    """Give each process one of its own before ROS runs in any."""
+    seekers = [
+        subprocess.Popen([sys.executable, '-c', SEEKER], stdin=subprocess.PIPE,
+                         stdout=subprocess.PIPE, text=True)
+        for _ in range(8)]
+    found = [int(seeker.stdout.readline()) for seeker in seekers if seeker.stdout]
+    for seeker in seekers:
+        seeker.communicate()
+    assert len(set(found)) == 8
+    assert all(1 <= number <= domain.DOMAINS for number in found)
+
+
+def test_what_reaches_other_machines_is_dropped(monkeypatch):
+    """Keep discovery here, whatever the shell says."""
+    for name in ('ROS_DOMAIN_ID', 'ROS_LOG_DIR', 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
+        monkeypatch.setenv(name, os.environ[name])  # put back afterwards
+    monkeypatch.setenv('ROS_STATIC_PEERS', '192.0.2.1')
+    domain.isolate('logs')
+    assert 'ROS_STATIC_PEERS' not in os.environ
+    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
+    assert os.environ['ROS_LOG_DIR'] == 'logs'

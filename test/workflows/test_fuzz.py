@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from ..core.planning.test_arm import URDF
-from ..files.yaml_plans import plan_messages
+from ..files.recordings import plan_messages
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 PERIOD_NS = 10_000_000

@@ -22,8 +22,7 @@ from ..cell.cup import VALUES
 from ..cell.motion import Move
 from ..conftest import ROOT
 from ..core.planning.test_arm import URDF
-from ..files.recordings import header, POSE, serialized, TWIST, write
-from ..files.yaml_plans import cartesian, plan_messages
+from ..files.recordings import cartesian, header, plan_messages, POSE, serialized, TWIST, write
 
 MOVE = Move([0.3, -0.2, 0.1], [0.2, -0.1, 0.5], 0.6)
 VALUES = VALUES.replaced({

@@ -1,1 +1,0 @@
-"""One simulated cell for tests and benchmarks: motions, cups and packages, sensors."""
