@@ -237,8 +237,9 @@ def _print_budget(result: TossResult, out: Any) -> None:
     out.table(rows, right=True)
     first, *others = (MILLI * group.metres for group in groups)
     text = (
-        f'Reduce first: {groups[0].name}, {first:.1f} of {math.hypot(first, *others):.1f} mm. If '
-        f'it were known exactly, {math.hypot(*others):.1f} mm would remain.')
+        f'Reduce first: {groups[0].name}, {first:.1f} of {math.hypot(first, *others):.1f} mm '
+        '(root of the sum of squares). If it were known exactly, '
+        f'{math.hypot(*others):.1f} mm would remain.')
     if result.per_millisecond:
         text += (' Each millisecond of the valve moves the landing by '
                  f'{MILLI * result.per_millisecond:.1f} mm.')

@@ -14,6 +14,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.grip import Law, Release, RELEASE_NAMES
+from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.toss import release as toss_release
 from bellows_ros.core.toss.release import HeldMotion, Toss, toss
 from bellows_ros.errors import NoLandingError, NoReleaseError, UnstableError
@@ -60,7 +61,7 @@ class Scatter(NamedTuple):
     std: Array
     """Standard deviations (M,), SI units; NaN for 'release'."""
     parts: Array
-    """Deviations (M, 6) of the landing by one standard deviation, by a regression on the draws."""
+    """Deviations (M, 6) of the landing by one standard deviation."""
 
     @property
     def covariance(self) -> Array:
@@ -91,35 +92,37 @@ def scatter(case: TossProblem, nominal: Toss, count: int = DRAWS, seed: int = 0)
     Raises
     ------
     NoLandingError
-        If fewer than half of the tosses land.
+        If fewer than half of the tosses land, or one next to the nominal does not.
 
     """
     held, (values, std, places), rng = case.held, case.uncertain, np.random.default_rng(seed)
-    normal = rng.standard_normal((count, len(std) + 6))
-    errors, landed = [], np.zeros(count, bool)
-    for k, (of_model, of_law) in enumerate(zip(*np.split(normal, [len(std)], 1), strict=True)):
-        model = cup_package.model_with(held.model, values + std * of_model, places)
-        release = release_with(case.release, case.factor @ of_law)
+
+    def miss(model: ModelTuple, of_law: Array) -> Array:
+        drawn = held if model is held.model else HeldMotion(
+            model, held.grip, held.tool, until=nominal.release_time + MARGIN)
+        landed = toss(drawn, release_with(case.release, case.factor @ of_law), case.switched)
+        return np.concatenate(toss_release.landing_error(
+            landed.landing, nominal.landing, held.model[2]))
+
+    errors = []
+    for normal in rng.standard_normal((count, len(std) + 6)):
         with suppress(NoLandingError, UnstableError):
-            drawn = HeldMotion(
-                model, held.grip, held.tool, until=nominal.release_time + MARGIN)
-            errors.append(np.concatenate(toss_release.landing_error(
-                toss(drawn, release, case.switched).landing, nominal.landing, held.model[2])))
-            landed[k] = True
-    if landed.sum() < count // 2:
+            errors.append(miss(cup_package.model_with(
+                held.model, values + std * normal[:-6], places), normal[-6:]))
+    if len(errors) < count // 2:
         raise NoLandingError(
-            f'Of {count} tosses with drawn parameters only {landed.sum()} land; expected half or '
+            f'Of {count} tosses with drawn parameters only {len(errors)} land; expected half or '
             'more. Lower the standard deviations of package, cup and release.*, or drive slower.')
-    law_std = np.linalg.norm(case.factor, axis=1)
-    is_diagonal = np.array_equal(case.factor, np.diag(law_std))
-    all_std = np.r_[std, law_std]
-    names = (*cup_package.PARAMETER_NAMES,
-             *(RELEASE_NAMES if is_diagonal else ['release'] * len(law_std)))
-    used = np.flatnonzero(all_std)
-    parts = np.linalg.lstsq(normal[landed][:, used], np.array(errors), rcond=None)[0]
-    shown = all_std if is_diagonal else np.r_[std, np.full(len(law_std), np.nan)]
-    return Scatter(np.array(errors), count - len(errors), tuple(names[k] for k in used),
-                   shown[used], parts)
+    names, parts = cup_package.contributions(
+        case.uncertain, held.model, lambda model: miss(model, np.zeros(6)))
+    used = np.flatnonzero(case.factor.any(axis=0))
+    of_law = [0.5 * (miss(held.model, one) - miss(held.model, -one)) for one in np.eye(6)[used]]
+    is_diagonal = np.array_equal(case.factor, np.diag(np.diag(case.factor)))
+    law_std = np.diag(case.factor) if is_diagonal else np.full(6, np.nan)
+    return Scatter(
+        np.array(errors), count - len(errors),
+        (*names, *(RELEASE_NAMES[k] if is_diagonal else 'release' for k in used)),
+        np.append(std[std != 0.0], law_std[used]), np.reshape([*parts, *of_law], (-1, 6)))
 
 
 def ellipse(covariance: Array, count: int) -> Array:

@@ -42,8 +42,7 @@ RELEASE_STEP = 1e-3
 INSTANT_FALL = 1e-9
 """Time in which the suction falls for a fall of 0, s."""
 
-LAW_STEP = 0.1
-DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (LAW_STEP,) * 6
+DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (0.1,) * 6
 """Steps of differences by shift (m), rotation (rad), linear and angular twist (m/s, rad/s), and by
 the numbers of the law of release (standard deviations)."""
 
