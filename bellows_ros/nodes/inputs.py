@@ -306,7 +306,7 @@ class PackageInput:
             nonlocal poses, count
             if not (self.is_ready and self._pipeline.node.is_active):
                 return
-            before, poses = poses, self._live.tool.poses
+            before, poses = poses, self._live.screen.poses
             count = count + 1 if poses == before else 1
             if count <= most:
                 use(message)

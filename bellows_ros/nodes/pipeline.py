@@ -105,7 +105,7 @@ class Pipeline(Predicting):
         """Return restarts by reason, poses, and poses without a twist, since the last call."""
         live, before = self.live, self._reported
         self._reported = Counter(
-            {**live.restarts, 'poses': live.tool.poses, 'alone': live.tool.motion.estimated})
+            {**live.restarts, 'poses': live.screen.poses, 'alone': live.motion.estimated})
         return self._reported - before
 
     def stop(self) -> None:
@@ -220,8 +220,8 @@ class Pipeline(Predicting):
         if not self.node.is_active:
             return
         live, now_ns = self.live, time.monotonic_ns()
-        if live.tool.pairing.waiting and (
-                now_ns - (live.tool.arrivals.newest_ns or 0) >= MAX_SILENCE_NS):
+        if live.pairing.waiting and (
+                now_ns - (live.screen.arrival_ns or 0) >= MAX_SILENCE_NS):
             self.publish(live.flush)
         self.publish(live.coast, now_ns)
         self.observing.log_alarms()

@@ -285,18 +285,17 @@ class Diagnostics:
         phase = live.phase(time.monotonic_ns())
         line = health.Status('prediction', health.prediction_finding(
             state, phase, {reason: new[reason] for reason in live.restarts},
-            live.tool.motion.verdict != 'does_not_fit', live.package.has_covariance,
+            live.motion.verdict != 'does_not_fit', live.package.has_covariance,
             live.is_above), {
                 'lifecycle': state, 'phase': phase,
                 **health.quantiles(
                     'compute time {} (us)', health.taken(pipeline.compute), 1e6),
-                'twists against poses': live.tool.motion.verdict,
+                'twists against poses': live.motion.verdict,
                 **{name: str(count) for name, count in counts.items()}})
         if state != 'active':
             return [line]
-        of_twists = {k: n for k, n in live.refused.items() if k.startswith('twist_')}
-        of_poses = {k: n for k, n in live.refused.items() if k not in of_twists}
-        twist_in, poses = pipeline.twist_in, pipeline.pose_in.report(of_poses)
+        of_twists, twist_in = live.pairing.refused, pipeline.twist_in
+        poses = pipeline.pose_in.report(live.screen.refused)
         twists = twist_in.report(of_twists) if twist_in else poses._replace(
             refused={}, total_refused=of_twists)
         others = (

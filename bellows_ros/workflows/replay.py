@@ -359,8 +359,8 @@ def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
         **{f'predictor refused: {reason}': n for reason, n in live.refused.items()},
         **{f'predictor restarted: {reason}': n for reason, n in live.restarts.items()}}
     return {
-        'poses': live.tool.poses, 'twists': live.tool.twists, 'predictions': live.predictions,
-        'twists estimated': live.tool.motion.estimated,
+        'poses': live.screen.poses, 'twists': live.pairing.twists, 'predictions': live.predictions,
+        'twists estimated': live.motion.estimated,
         **{name: count for name, count in lost.items() if count}}
 
 

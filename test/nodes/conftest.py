@@ -197,8 +197,8 @@ class Partner(Peer):
 
     def wait_for_inputs(self, poses):
         """Spin until the predictor has received a number of poses, rejected ones included."""
-        tool = self.predictor.pipeline.live.tool
-        assert self.ros.spin_until(lambda: tool.poses >= poses), f'{tool.poses} of {poses}'
+        screen = self.predictor.pipeline.live.screen
+        assert self.ros.spin_until(lambda: screen.poses >= poses), f'{screen.poses} of {poses}'
 
 
 def topics_of(predictor):

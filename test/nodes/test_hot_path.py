@@ -109,7 +109,7 @@ def held():
         [tracemalloc.Filter(True, os.path.dirname(bellows_ros.__file__) + '/*')])
     return sum(trace.size for trace in taken.traces)
 
-partner.wait(lambda: predictor.pipeline.live.tool.pairing.expect and all(
+partner.wait(lambda: predictor.pipeline.live.pairing.expect and all(
     topic.subscribed and topic.is_ready for topic in topics_of(predictor)))
 predictor.diagnostics.report()
 modules, compiled = set(sys.modules), signatures()
@@ -192,7 +192,7 @@ found = {
     'sent': sent, 'answered': [], 'failures': predictor.failures,
     'newly compiled': newly_compiled, 'needed': needed_later, 'of start': of_start,
     'grown': after - before, 'heard': list(map(len, heard)),
-    'twists estimated': pipeline.live.tool.motion.estimated, 'coasted': pipeline.live.coasted,
+    'twists estimated': pipeline.live.motion.estimated, 'coasted': pipeline.live.coasted,
 }
 needed.clear()
 valve_out.publish(Bool(data=True))

@@ -82,7 +82,7 @@ def test_every_transition(make_predictor, manager):
         manager.send()
         for service in ('/predictor/reset', '/package/detach'):
             assert not manager.call(service, Trigger).success
-        assert manager.heard == [] and node.pipeline.live.tool.poses == 0
+        assert manager.heard == [] and node.pipeline.live.screen.poses == 0
         assert manager.change(Transition.TRANSITION_ACTIVATE)
         assert manager.hears_all()
         assert manager.change('deactivate')
@@ -128,9 +128,9 @@ def test_package_is_attached_and_detached(node, manager):
     assert manager.call('/package/detach', Trigger).success
     manager.wait(lambda: manager.states[-1] == 'detached')
     manager.take_what_is_under_way()
-    before = node.pipeline.live.tool.poses
+    before = node.pipeline.live.screen.poses
     manager.send(20)
-    manager.wait(lambda: node.pipeline.live.tool.poses == before + 20)
+    manager.wait(lambda: node.pipeline.live.screen.poses == before + 20)
     answer = manager.call('/package/attach', Trigger)
     assert answer.success and set(manager.heard) <= {'package/markers'}  # that takes them away
     assert manager.hears_all()

@@ -147,6 +147,6 @@ def test_twists_of_odometry_are_used_in_the_child_frame(make_predictor, peer, is
         writer.publish(message)
         peer.wait(lambda: live.predictions == step)  # noqa: B023
     assert_allclose(live.latest.tool[2], (0.2, 0.0, 0.0), atol=1e-9)
-    assert live.tool.motion.estimated == (0 if is_filled else 449)
-    assert live.tool.motion.verdict == ('fits' if is_filled else 'unknown')
+    assert live.motion.estimated == (0 if is_filled else 449)
+    assert live.motion.verdict == ('fits' if is_filled else 'unknown')
     assert node.count_subscribers('/tool_arm/twist') == 0

@@ -12,15 +12,15 @@ import math
 from operator import mul
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.tuples import Quaternion, Vector
+from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector
 from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED
 from bellows_ros.core.live.held_package import HeldPackage, stated_payload
 from bellows_ros.core.live.observing import Observing
-from bellows_ros.core.live.tool_input import ToolInput
-from bellows_ros.core.live.tool_screening import REFUSALS, TwistSample
+from bellows_ros.core.live.tool_screening import REFUSALS, Screen
+from bellows_ros.core.live.tool_twist import Pairing, ToolMotion, TwistSample
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.live.vacuum import ALL, check_live, Load, Vacuum
-from bellows_ros.core.model.cup_package import Cup, frozen_array, Package
+from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.grip import ratio, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State
 from bellows_ros.core.model.structure import require_stiffness
@@ -107,8 +107,12 @@ class LivePredictor:
         Pressures by cup.
     lost_cups : set of int
         Cups of cup.layout lost since the package was attached.
-    tool : ToolInput
-        Screened and paired poses and twists of the tool.
+    screen : Screen
+        Judge of the tool's poses, with their arrivals.
+    pairing : Pairing
+        Poses that wait for their twists.
+    motion : ToolMotion
+        Pose and twist of the tool, and the check of its twists.
     package : HeldPackage
         State of the package, and the observer that corrects it.
     attached : bool
@@ -138,7 +142,9 @@ class LivePredictor:
         require_stiffness(cup.stiffness)
         if twist_frame not in ('world', 'tool'):
             raise BellowsError(f"twist_frame is '{twist_frame}'; expected 'world' or 'tool'.")
-        self.tool = ToolInput(twist_frame == 'world')
+        self.screen, self.pairing = Screen(), Pairing()
+        self.motion = ToolMotion(twist_frame == 'world')
+        self._expected = False  # twists, by the last call of `expect_twists`
         self.package = HeldPackage(cup, package, gravity, resolve({}, ()))
         self._observing = Observing(self.package)
         self.alarms = self._observing.alarms
@@ -187,7 +193,7 @@ class LivePredictor:
         predictor = cls(
             cup_of(values), package_of(values), gravity_of(values),
             'tool' if values.tool_pose.type == 'odometry' else values.tool_twist.frame)
-        predictor.tool.motion.set_tip(tip_of(values))
+        predictor.motion.set_tip(tip_of(values))
         is_held = values.vacuum.signal == 'none'
         predictor.attached, predictor._cycle = is_held, Cycle(is_held)
         predictor.use(values)
@@ -203,25 +209,25 @@ class LivePredictor:
     @property
     def frame_id(self) -> str:
         """Frame of the accepted poses, '' before the first."""
-        return self.tool.screen.frame
+        return self.screen.frame
 
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest accepted pose, ns."""
-        return self.tool.newest_ns
+        return self.screen.newest_ns
 
     @property
     def refused(self) -> dict[str, int]:
         """Counts of rejected messages of the tool, by reason."""
-        return self.tool.refused
+        return {**self.screen.refused, **self.pairing.refused}
 
     @property
     def counts(self) -> dict[str, int]:
         """Counts of incoming messages, predictions and restarts, since the beginning."""
         return {
-            'poses in': self.tool.poses, 'twists in': self.tool.twists,
+            'poses in': self.screen.poses, 'twists in': self.pairing.twists,
             'predictions': self.predictions, 'coasted': self.coasted,
-            'twists estimated': self.tool.motion.estimated,
+            'twists estimated': self.motion.estimated,
             **{f'fresh starts: {reason}': count for reason, count in self.restarts.items()},
         }
 
@@ -240,7 +246,7 @@ class LivePredictor:
         """
         if self.latest is not None:
             self.watch(self.latest)
-        return self.is_ok_at(self.tool.arrivals.newest_ns or 0)
+        return self.is_ok_at(self.screen.arrival_ns or 0)
 
     def is_ok_at(self, arrival_ns: int) -> bool:
         """Return `is_ok` for a given time on the clock of arrivals."""
@@ -258,9 +264,8 @@ class LivePredictor:
         """Whether z of the tool pointed down when it last rested: a package is above it."""
         if self.latest is None or self._resting is None:
             return False
-        x, y, z, w = self._resting
-        z_world = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-        return points_down(z_world, self.model[2])
+        R = rotation_matrix(self._resting)
+        return points_down((R[2], R[5], R[8]), self.model[2])
 
     @property
     def alarm(self) -> Alarm | None:
@@ -303,10 +308,10 @@ class LivePredictor:
         """
         if not self.attached:
             return 'detached'
-        has_package = bool(self.package.sample or self.tool.pairing.waiting)
-        if self.tool.arrivals.newest_ns is None and not has_package:
+        has_package = bool(self.package.sample or self.pairing.waiting)
+        if self.screen.arrival_ns is None and not has_package:
             return 'waiting'
-        if silent_ns := self.tool.arrivals.silent_ns(arrival_ns, self.tool.screen.period_ns):
+        if silent_ns := self.screen.silent_ns(arrival_ns):
             return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
         if not has_package:
             return 'lost'
@@ -344,8 +349,7 @@ class LivePredictor:
         self.values = values
         self.package.observer.use_values(values)
         self.package.set_model(cup_of(values), package_of(values))
-        self.load = Load(
-            values, self.load.pressure if self.load else None, self.vacuum.of_cups)
+        self.load = Load(values, self.vacuum.pressure, self.vacuum.of_cups)
 
     def reset(self, reason: str = '') -> None:
         """
@@ -355,16 +359,17 @@ class LivePredictor:
         """
         if reason:
             self.restarts[reason] += 1
-            self.tool.screen.forget_motion()
+            self.screen.forget_motion()
         else:
-            self.tool.reset()
+            self.screen.reset()
+            self.pairing.expect = self._expected
             if self.attached and self.state == LOST:
                 self._cycle.grip()
         self._forget_motion(SAME_PACKAGE if reason else CAMERA_ROWS)
 
     def expect_twists(self, expected: bool) -> None:
         """Set whether poses wait for twists; received twists change this setting."""
-        self.tool.expect_twists(expected)
+        self._expected = self.pairing.expect = expected
 
     def set_attached(self, attached: bool) -> list[Prediction]:
         """Attach a package, from rest at the next pose, or detach it."""
@@ -381,7 +386,7 @@ class LivePredictor:
         is_next = attached and not self.attached
         if attached != self.attached:
             self.package.forget()
-            self.tool.arrivals.clear()
+            self.screen.forget_arrivals()
         self.attached, self.latest, self._begun_ns = attached, None, None
         if is_next:
             self.package.observer.grip()
@@ -394,7 +399,8 @@ class LivePredictor:
         self.package.forget(kept)
         self.latest, self._unsafe_ns, self._moved_ns = None, -1, -STOPPED_NS
         self._begun_ns = self._resting = None
-        self.tool.forget()
+        self.pairing.clear()
+        self.motion.clear()
 
     # ------------------------------------------------------ valve, vacuum, loss
 
@@ -441,7 +447,7 @@ class LivePredictor:
             return readings
         for is_held, cup in readings:
             self.on_vacuum(is_held, cup=cup)
-        if self.load is not None and self.vacuum.pressure is not None:
+        if self.load is not None:
             self.load.set_pressure(self.vacuum.pressure, self.vacuum.of_cups)
         if self.vacuum.open_cups != opened:
             self.use(self._given)
@@ -491,11 +497,7 @@ class LivePredictor:
             Arrival on a monotonic clock; None if messages do not arrive in real time.
 
         """
-        try:
-            reason = self.tool.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
-        except TypeError:
-            frozen_array(quaternion_xyzw, (4,), 'quaternion_xyzw')
-            raise
+        reason = self.screen.judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
         if reason in REFUSALS:
             if reason in ('jump', 'millimetres'):
                 self._begun_ns = None
@@ -505,7 +507,7 @@ class LivePredictor:
             predictions = self.flush()
             self.restarts[reason] += 1
             self._forget_motion()
-        self.tool.add_pose(stamp_ns, position, quaternion_xyzw, arrival_ns)
+        self.pairing.add_pose(self.motion.pose(stamp_ns, position, quaternion_xyzw))
         return predictions + self._release()
 
     def on_twist(
@@ -516,7 +518,7 @@ class LivePredictor:
 
         The frame_id does not define the axes, as drivers set it arbitrarily.
         """
-        self.tool.add_twist(TwistSample(stamp_ns, linear, angular))
+        self.pairing.add_twist(TwistSample(stamp_ns, linear, angular))
         return self._release()
 
     def on_measured(
@@ -543,7 +545,7 @@ class LivePredictor:
             Arrival on the clock of `on_pose`.
 
         """
-        newest_ns = self.tool.arrivals.newest_ns
+        newest_ns = self.screen.arrival_ns
         since_ns = 0 if arrival_ns is None or newest_ns is None else max(arrival_ns - newest_ns, 0)
         if self._observing.on_measured(
                 stamp_ns, same_frame(self.frame_id, frame_id),
@@ -585,12 +587,12 @@ class LivePredictor:
 
     def flush(self) -> list[Prediction]:
         """Predict for all waiting poses, without their twists."""
-        self.tool.pairing.release_waiting_poses()
+        self.pairing.release_waiting_poses()
         return self._release()
 
     def coast(self, arrival_ns: int) -> list[Prediction]:
         """Return a prediction at a time without a pose, within the limit of the extrapolation."""
-        newest_ns = self.tool.arrivals.newest_ns
+        newest_ns = self.screen.arrival_ns
         if newest_ns is None:
             return []
         stamp_ns = self.newest_ns + arrival_ns - newest_ns
@@ -608,12 +610,12 @@ class LivePredictor:
     def _release(self) -> list[Prediction]:
         """Predict for the poses whose twist has arrived, or is no longer awaited."""
         return [
-            prediction for pose, twist in self.tool.pairing.ready()
+            prediction for pose, twist in self.pairing.ready()
             if (prediction := self._predict(pose, twist)) is not None]
 
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start from rest at this pose."""
-        before, now = self.tool.motion.states(pose, twist, self.package.sample)
+        before, now = self.motion.states(pose, twist, self.package.sample)
         if is_moving(now):
             self._moved_ns = pose.stamp_ns
         elif before or twist:  # the first pose alone has no speed
@@ -657,9 +659,7 @@ class LivePredictor:
 
 def is_moving(tool: State) -> bool:
     """Return whether a tool is too fast for a release."""
-    (x, y, z), (a, b, c) = tool[2:4]
-    return (x * x + y * y + z * z > MOVING_SPEED * MOVING_SPEED
-            or a * a + b * b + c * c > MOVING_RATE * MOVING_RATE)
+    return math.hypot(*tool[2]) > MOVING_SPEED or math.hypot(*tool[3]) > MOVING_RATE
 
 
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:

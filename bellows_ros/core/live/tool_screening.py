@@ -1,5 +1,5 @@
 """
-Screening of the tool's poses and twists: a state machine over stamps, frames and values.
+Screening of the tool's poses: a state machine over stamps, frames and values.
 
 Each pose is accepted, rejected with a reason, or accepted as a restart with a reason. A single
 implausible pose is rejected; a consistent run of them is accepted, so that the predictor recovers
@@ -18,9 +18,8 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, same_frame
 
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
-    'future_stamp', 'frame_id', 'jump', 'millimetres', 'twist_nan', 'twist_too_fast',
-    'twist_misses_pose', 'twist_stamp')
-"""Reasons for rejecting poses and twists of the tool."""
+    'future_stamp', 'frame_id', 'jump', 'millimetres')
+"""Reasons for rejecting poses of the tool."""
 
 JUMP_RUN = 5
 """Number of consecutive poses, near to each other but far from the last accepted pose, after which
@@ -44,16 +43,11 @@ JITTER = 0.025
 NEW_FRAME_NS = 150_000_000
 """Time of poses in another frame alone after which this frame is accepted, ns."""
 
+MAX_BURST_NS = 100_000_000
+"""Longest pause between bursts of a driver, ns; longer ones are gaps."""
+
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
-
-
-class TwistSample(NamedTuple):
-    """A twist of the tool in the axes its driver uses, m/s and rad/s."""
-
-    stamp_ns: int
-    linear: Vector
-    angular: Vector
 
 
 class Reference(NamedTuple):
@@ -111,53 +105,9 @@ def pose_step(
                rate_change * shorter / turn_jump), v, w
 
 
-class ToolArrivals:
-    """
-    Arrivals of accepted poses on a monotonic clock (ns), and the detection of silence.
-
-    Attributes
-    ----------
-    newest_ns : int or None
-        Arrival of the newest pose; None before the first.
-
-    """
-
-    def __init__(self) -> None:
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget all arrivals."""
-        self.newest_ns: int | None = None
-        self._pause_ns = 0
-
-    def add(self, arrival_ns: int | None) -> None:
-        """Add the arrival (ns) of a pose, or None if messages do not arrive in real time."""
-        if arrival_ns is not None and self.newest_ns is not None:
-            pause_ns = arrival_ns - self.newest_ns
-            if pause_ns <= 100_000_000:  # ns, between bursts; grows quickly, shrinks slowly
-                change_ns = pause_ns - self._pause_ns
-                self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
-        self.newest_ns = arrival_ns
-
-    def silent_ns(self, now_ns: int, period_ns: int) -> int:
-        """Return the time (ns) without a pose; 0 if usual for the period of the poses."""
-        silent_ns = 0 if self.newest_ns is None else now_ns - self.newest_ns
-        usual_ns = max(20_000_000, 4 * period_ns, 3 * self._pause_ns // 2)
-        return silent_ns if silent_ns > usual_ns else 0
-
-
-def why_no_twist(linear: Vector, angular: Vector) -> str:
-    """Return the reason why a twist (m/s, rad/s) is rejected, or ''."""
-    speed, rate = math.hypot(*linear), math.hypot(*angular)
-    if speed <= screening.MAX_TOOL_SPEED and rate <= screening.MAX_TOOL_RATE:  # false for NaN
-        return ''
-    finite = all(map(math.isfinite, (*linear, *angular)))
-    return 'twist_too_fast' if finite else 'twist_nan'
-
-
 class Screen(StampScreen):
     """
-    State machine that judges successive poses of the tool.
+    State machine that judges and counts successive poses of the tool.
 
     Attributes
     ----------
@@ -165,10 +115,18 @@ class Screen(StampScreen):
         Frame of the accepted poses, '' before the first.
     newest_ns : int
         Stamp of the newest accepted pose, -1 before the first.
+    arrival_ns : int or None
+        Arrival of the newest accepted pose on a monotonic clock, ns; None before the first, and
+        if messages do not arrive in real time.
+    poses : int
+        Number of judged poses.
+    refused : dict
+        Numbers of rejected poses, by reason.
 
     """
 
     def __init__(self) -> None:
+        self.poses, self.refused = 0, dict.fromkeys(REFUSALS, 0)
         self.reset()
 
     def reset(self) -> None:
@@ -182,13 +140,25 @@ class Screen(StampScreen):
         self._last: Reference | None = None
         self._elsewhere: Reference | None = None  # newest of the rejected poses
         self._run, self._foreign_ns = 0, -1
+        self.forget_arrivals()
+
+    def forget_arrivals(self) -> None:
+        """Wait for the next pose without a limit."""
+        self.arrival_ns: int | None = None
+        self._pause_ns = 0  # between bursts; grows quickly, shrinks slowly
+
+    def silent_ns(self, now_ns: int) -> int:
+        """Return the time (ns) without a pose; 0 if usual for the poses' period and bursts."""
+        silent_ns = 0 if self.arrival_ns is None else now_ns - self.arrival_ns
+        usual_ns = max(20_000_000, 4 * self.period_ns, 3 * self._pause_ns // 2)
+        return silent_ns if silent_ns > usual_ns else 0
 
     def judge(
         self, stamp_ns: int, frame_id: str, position: Vector, quaternion_xyzw: Quaternion,
         arrival_ns: int | None = None,
     ) -> str:
         """
-        Return the reason why a pose is rejected or restarts the prediction, or ''.
+        Count a pose; return the reason why it is rejected or restarts the prediction, or ''.
 
         Parameters
         ----------
@@ -205,14 +175,22 @@ class Screen(StampScreen):
             the future; without it a late stamp counts as a pause.
 
         """
+        self.poses += 1
         self._next = Reference(stamp_ns, position, quaternion_xyzw)
         reason = self._judge(stamp_ns, frame_id, position, quaternion_xyzw, arrival_ns)
-        if reason not in REFUSALS:
-            if reason:
-                self.forget_motion()
-            self.accept_stamp(stamp_ns, arrival_ns, reason)
-            self.frame, self._last = frame_id or self.frame, self._next
-            self._elsewhere, self._run, self._foreign_ns = None, 0, -1
+        if reason in REFUSALS:
+            self.refused[reason] += 1
+            return reason
+        if reason:
+            self.forget_motion()
+        self.accept_stamp(stamp_ns, arrival_ns, reason)
+        self.frame, self._last = frame_id or self.frame, self._next
+        self._elsewhere, self._run, self._foreign_ns = None, 0, -1
+        if arrival_ns is not None and self.arrival_ns is not None:
+            change_ns = arrival_ns - self.arrival_ns - self._pause_ns
+            if change_ns + self._pause_ns <= MAX_BURST_NS:
+                self._pause_ns += change_ns // (2 if change_ns > 0 else 256)
+        self.arrival_ns = arrival_ns
         return reason
 
     def _judge(

@@ -4,13 +4,13 @@ The tool's twist at the stamps of its poses: measured, interpolated or estimated
 Measured twists come in any order and at any rate (`Pairing`). A twist with the stamp of the pose
 is used unchanged; a pose between two twists gets an interpolated twist; for other poses, after a
 short wait, the twist is estimated from the last poses by the Savitzky-Golay filter at the end of
-its window. Measured twists are checked against these estimates (`ToolMotion`).
+its window. Measured twists are regularly compared with these estimates (`ToolMotion`).
 """
 
 from collections import deque
 from collections.abc import Iterator
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array
@@ -18,9 +18,8 @@ from bellows_ros.core.geometry.jit import as_inputs, entry
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
 from bellows_ros.core.live.held_package import Sample
-from bellows_ros.core.live.tool_screening import TwistSample
 from bellows_ros.core.model.kernels import extrapolated, ORIGIN, State
-from bellows_ros.core.signals.screening import PoseSample
+from bellows_ros.core.signals.screening import MAX_TOOL_RATE, MAX_TOOL_SPEED, PoseSample
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -37,6 +36,18 @@ MAX_SPAN_NS = 30_000_000
 """Longest interval between two twists in which a twist is interpolated, ns."""
 
 
+TWIST_REFUSALS = ('twist_nan', 'twist_too_fast', 'twist_stamp')
+"""Reasons for rejecting twists of the tool."""
+
+
+class TwistSample(NamedTuple):
+    """A twist of the tool in the axes its driver uses, m/s and rad/s."""
+
+    stamp_ns: int
+    linear: Vector
+    angular: Vector
+
+
 class Pairing:
     """
     Queues of poses and twists, and the rule for the release of poses.
@@ -46,20 +57,22 @@ class Pairing:
     expect : bool
         Whether a pose waits for its twist. Set by callers that know of a publisher of twists, and
         by twists that come soon after their poses.
-    refused : int
-        Number of twists with a stamp in the future, or not after an earlier one.
+    twists : int
+        Number of twists.
+    refused : dict
+        Numbers of rejected twists, by reason.
 
     """
 
     def __init__(self) -> None:
-        self.expect, self.refused = False, 0
+        self.expect, self.twists = False, 0
+        self.refused = dict.fromkeys(TWIST_REFUSALS, 0)
         self.clear()
 
     def clear(self) -> None:
         """Discard waiting poses and twists."""
         self._poses: deque[PoseSample] = deque()
-        self._twists: deque[TwistSample] = deque(maxlen=32)
-        self._before: TwistSample | None = None
+        self._twists: deque[TwistSample] = deque(maxlen=32)  # the first before the next pose
         self._newest_ns = self._released_ns = -1
         self._since_twist = self._sparse = 0  # poses, and successive twists too late for them
 
@@ -76,26 +89,27 @@ class Pairing:
 
     def add_twist(self, twist: TwistSample) -> None:
         """Queue a twist, or let poses wait if its pose has been released without it."""
+        self.twists += 1
+        speed, rate = math.hypot(*twist.linear), math.hypot(*twist.angular)
+        if not (speed <= MAX_TOOL_SPEED and rate <= MAX_TOOL_RATE):  # or NaN
+            is_finite = all(map(math.isfinite, (*twist.linear, *twist.angular)))
+            self.refused['twist_too_fast' if is_finite else 'twist_nan'] += 1
+            return
         stamp_ns, twists = twist.stamp_ns, self._twists
         while twists and twists[-1].stamp_ns > max(stamp_ns, self._newest_ns + MAX_WAIT_NS):
             twists.pop()  # their stamps were wrong
-            self.refused += 1
-        if twists and stamp_ns <= twists[-1].stamp_ns:
-            self.refused += 1
+            self.refused['twist_stamp'] += 1
+        last_ns = twists[-1].stamp_ns if twists else -1
+        if stamp_ns <= last_ns:
+            self.refused['twist_stamp'] += 1
             return
-        last_ns = twists[-1].stamp_ns if twists else self._before.stamp_ns if self._before else -1
         is_soon = stamp_ns - last_ns <= MAX_SPAN_NS or (
             abs(stamp_ns - self._newest_ns) <= PAIRING_TOLERANCE_NS)
         self._sparse = 0 if is_soon and self._since_twist <= 1 else self._sparse + 1
         self._since_twist = 0
-        if stamp_ns > self._released_ns + PAIRING_TOLERANCE_NS:
-            twists.append(twist)
-            return
-        self.expect |= self._newest_ns - stamp_ns <= MAX_WAIT_NS
-        if self._before is None or stamp_ns > self._before.stamp_ns:
-            self._before = twist
-        else:
-            self.refused += 1
+        if stamp_ns <= self._released_ns + PAIRING_TOLERANCE_NS:
+            self.expect |= self._newest_ns - stamp_ns <= MAX_WAIT_NS
+        twists.append(twist)
 
     def release_waiting_poses(self) -> None:
         """Release all waiting poses without their twists."""
@@ -106,7 +120,8 @@ class Pairing:
         while self._poses:
             pose = self._poses[0]
             twist = self._twist_of(pose.stamp_ns)
-            if twist is None and self.expect and not self._twists and self._sparse < 2:
+            if twist is None and self.expect and self._sparse < 2 and (
+                    not self._twists or self._twists[-1].stamp_ns <= pose.stamp_ns):
                 if (self._newest_ns - pose.stamp_ns <= MAX_WAIT_NS
                         and len(self._poses) <= MAX_QUEUE):
                     return
@@ -117,13 +132,14 @@ class Pairing:
 
     def _twist_of(self, stamp_ns: int) -> TwistSample | None:
         """Return the twist at a stamp, measured, or interpolated between its neighbours."""
-        while self._twists and self._twists[0].stamp_ns <= stamp_ns + PAIRING_TOLERANCE_NS:
-            self._before = self._twists.popleft()
-            if self._before.stamp_ns >= stamp_ns - PAIRING_TOLERANCE_NS:
-                return self._before
-        if not self._twists or self._before is None:
+        twists = self._twists
+        while len(twists) > 1 and twists[1].stamp_ns <= stamp_ns + PAIRING_TOLERANCE_NS:
+            twists.popleft()
+        if twists and abs(twists[0].stamp_ns - stamp_ns) <= PAIRING_TOLERANCE_NS:
+            return twists[0]
+        if len(twists) < 2:
             return None
-        before, after = self._before, self._twists[0]
+        before, after = twists[0], twists[1]
         span_ns, part_ns = after.stamp_ns - before.stamp_ns, stamp_ns - before.stamp_ns
         if not 0 < part_ns < span_ns <= MAX_SPAN_NS:
             return None
@@ -203,33 +219,17 @@ AT_TIP = ORIGIN[:2]
 WEIGHTS = np.repeat([1.0, 0.1 ** 2], 3)
 """Weights of the squares of twists: a lever of 0.1 m converts rotations to distances."""
 
-MAX_JERK = 5e3
-"""Largest jerk of an arm, m/s^3."""
-
-SHIFT_TOLERANCE = 0.015
-"""Tolerance of a position in addition to the largest jerk, m."""
-
-MAX_ANGULAR_JERK = 5e4
-"""Largest angular jerk of an arm, rad/s^3."""
-
-ANGLE_TOLERANCE = 0.15
-"""Tolerance of a rotation in addition to the largest angular jerk, rad."""
-
 
 @entry
 def with_measured_twist(
-    before: State, o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
-    tip: tuple[Vector, Quaternion], seconds: float, lag: float,
-) -> tuple[State, float]:
+    o: Vector, q: Quaternion, linear: Vector, angular: Vector, in_world: bool,
+    tip: tuple[Vector, Quaternion], lag: float,
+) -> State:
     """
-    Return the tool with a measured twist, and its deviation from the twists' integral.
+    Return the tool with a measured twist.
 
     The twist is of a frame in which E has the pose `tip`, in axes of the world or of this frame.
     A pose that lags (s) behind its twist is extrapolated by the twist.
-
-    The deviation is relative to the largest possible deviation of an arm: the shift between two
-    poses differs from the mean velocity times the time by at most j t^3 / 12, with the largest
-    jerk j.
     """
     R_tip, v, w = t3.rotation_matrix(tip[1]), linear, angular
     if in_world:
@@ -240,14 +240,7 @@ def with_measured_twist(
     if lag > 0.0:
         ahead = extrapolated((o, q, v, w), lag)
         o, q = ahead[0], ahead[1]
-    mean = t3.scale(0.5, t3.add(
-        t3.apply(t3.rotation_matrix(before[1]), before[2]), t3.apply(t3.rotation_matrix(q), v)))
-    shift = t3.norm(t3.subtract(t3.subtract(o, before[0]), t3.scale(seconds, mean)))
-    rotation = t3.rotation_between(before[1], q)
-    angle = t3.norm(t3.subtract(rotation, t3.scale(0.5 * seconds, t3.add(before[3], w))))
-    cubed = seconds * seconds * seconds / 12.0
-    return (o, q, v, w), max(shift / (SHIFT_TOLERANCE + MAX_JERK * cubed),
-                             angle / (ANGLE_TOLERANCE + MAX_ANGULAR_JERK * cubed))
+    return o, q, v, w
 
 
 class ToolMotion:
@@ -265,8 +258,8 @@ class ToolMotion:
 
     Attributes
     ----------
-    estimated, missed : int
-        Number of estimated twists, and of measured ones that do not match the poses.
+    estimated : int
+        Number of estimated twists.
 
     """
 
@@ -274,7 +267,7 @@ class ToolMotion:
         self._rows, = as_inputs(np.zeros((HISTORY, 8)))
         self._in_world, self._tip = in_world, AT_TIP
         self._recent: deque[State] = deque(maxlen=LATER_POSES + 1)
-        self.estimated = self.missed = 0
+        self.estimated = 0
         self.clear()
 
     def set_tip(self, tip: Array | None) -> None:
@@ -309,26 +302,9 @@ class ToolMotion:
         """Return the pose a number of samples before the newest, with its estimated body twist."""
         return pose_with_slope(self._rows, self._count, back)
 
-    def measured(
-        self, pose: PoseSample, twist: TwistSample, before: State, seconds: float
-    ) -> tuple[State, float]:
-        """
-        Return the result of `with_measured_twist` for E at the newest pose.
-
-        Twists are compared while a package is held (seconds > 0), because a tool without a
-        package may jump.
-        """
-        now, excess = with_measured_twist(
-            before, *pose[1:], *twist[1:], self._in_world, self._tip, seconds, self._lag)
-        self._recent.append(now)
-        if seconds > 0.0 and len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
-            self._due_ns = pose.stamp_ns + PERIOD_NS
-            self._compare(self._recent[0], now)
-        return now, excess
-
     def _compare(self, tool: State, later: State) -> None:
         """
-        Compare a measured twist with the slope of the poses, and approach the lag of the poses.
+        Compare a measured twist with the slope of the poses, and approach their lag.
 
         Poses that lag by T deviate by T times the acceleration. The weighted sums are the squares
         of slope, deviation and acceleration, the product of both, and the number.
@@ -351,19 +327,23 @@ class ToolMotion:
     def states(
         self, pose: PoseSample, twist: TwistSample | None, last: Sample | None
     ) -> tuple[State | None, State]:
-        """Return a better estimate of E at the last sample, if any, and E at the next pose."""
+        """
+        Return a better estimate of E at the last sample, if any, and E at the next pose.
+
+        Twists are compared while a package is held, because a tool without one may jump.
+        """
         self.add(pose)
-        if twist is not None:
-            start, seconds = (ORIGIN, 0.0) if last is None else (
-                last.tool, (pose.stamp_ns - last.stamp_ns) / NS_PER_S)
-            now, excess = self.measured(pose, twist, start, seconds)
-            if last is None or excess <= 1.0:
-                return None, now
-            self.missed += 1
-        self.estimated += 1
-        self._recent.clear()
-        # a later pose improves the slope at the previous one
-        return self.state(back=1) if last else None, self.state()
+        if twist is None:
+            self.estimated += 1
+            self._recent.clear()
+            # a later pose improves the slope at the previous one
+            return self.state(back=1) if last else None, self.state()
+        now = with_measured_twist(*pose[1:], *twist[1:], self._in_world, self._tip, self._lag)
+        self._recent.append(now)
+        if last and len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
+            self._due_ns = pose.stamp_ns + PERIOD_NS
+            self._compare(self._recent[0], now)
+        return None, now
 
     @property
     def verdict(self) -> str:

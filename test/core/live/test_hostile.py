@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros.core.live import LivePredictor, REFUSALS
-from bellows_ros.core.live.tool_twist import MAX_QUEUE
+from bellows_ros.core.live.tool_twist import MAX_QUEUE, TWIST_REFUSALS
 from bellows_ros.core.model.cup_package import Cup, Package
 from hypothesis import given, HealthCheck, Phase, settings
 from hypothesis import strategies as st
@@ -90,8 +90,8 @@ def check(live, predictions):
         numbers = [x for part in (*p.body, p.force, p.moment, *p.tool) for x in part]
         assert all(map(math.isfinite, numbers))
         assert abs(math.hypot(*p.quaternion_xyzw) - 1.0) < 1e-9
-    assert live.tool.pairing.waiting <= MAX_QUEUE
-    assert len(live.tool.pairing._twists) <= 32
+    assert live.pairing.waiting <= MAX_QUEUE
+    assert len(live.pairing._twists) <= 32
 
 
 @pytest.mark.timeout(600)
@@ -117,11 +117,11 @@ def messages_survived(sequence):
         predictions = attack.send(message)
         check(live, predictions)
         answered += sum(not p.coasting for p in predictions)
-        assert set(live.refused) == set(REFUSALS)
+        assert set(live.refused) == {*REFUSALS, *TWIST_REFUSALS}
         refused = sum(n for name, n in live.refused.items() if not name.startswith('twist'))
         assert answered == live.predictions
-        assert live.tool.poses == attack.poses
-        assert live.predictions + refused + live.tool.pairing.waiting <= attack.poses
+        assert live.screen.poses == attack.poses
+        assert live.predictions + refused + live.pairing.waiting <= attack.poses
     live.package.set_model(Cup.thesis(), PLATE)
     live.set_attached(True)
     stamp = attack.stamp + 20 * MS

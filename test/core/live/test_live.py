@@ -80,7 +80,7 @@ def test_equals_the_simulation_in_any_order_of_messages(messages, predictor, ord
     body = simulate(Cup.thesis(), PLATE, messages.tool)
     assert [p.stamp_ns for p in out] == messages.stamps[:len(out)]
     assert len(out) >= len(messages) - 2
-    assert predictor.tool.motion.estimated == 0
+    assert predictor.motion.estimated == 0
     position, turn = errors(out, body)
     assert position < 1e-12
     assert turn < 1e-11
@@ -93,9 +93,9 @@ def test_twists_are_waited_for_once_they_come_and_no_longer_than_the_limit(messa
             late = messages.twist(predictor, k)
             assert k < 10 or (len(out), len(late)) == (0, 1)
             continue
-        assert predictor.tool.pairing.waiting * PERIOD <= tool_twist.MAX_WAIT_NS + PERIOD
-    assert not predictor.tool.pairing.expect
-    assert predictor.tool.pairing.waiting == 0
+        assert predictor.pairing.waiting * PERIOD <= tool_twist.MAX_WAIT_NS + PERIOD
+    assert not predictor.pairing.expect
+    assert predictor.pairing.waiting == 0
     assert predictor.predictions == 60
 
 
@@ -130,7 +130,7 @@ def test_absurd_twists_are_refused_and_their_poses_predicted(messages, predictor
     assert all(map(is_finite, out))
     assert (len(out), predictor.refused[reason]) == (40, 40)
     predictor.reset()
-    assert predictor.tool.pairing.expect  # again, as it was told
+    assert predictor.pairing.expect  # again, as it was told
 
 
 def test_model_that_cannot_be_integrated_is_started_from_rest(messages, predictor):
@@ -206,7 +206,7 @@ def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
         v = {'world': v @ R.T, 'tool': v, 'nonsense': 3.0 * v + 0.5}[sent_in]
         live.on_pose(messages.stamps[k], 'base', o, q)
         live.on_twist(messages.stamps[k], tuple(v[0].tolist()), tuple(v[1].tolist()))
-    assert live.tool.motion.verdict == verdict
+    assert live.motion.verdict == verdict
 
 
 @pytest.mark.parametrize(('tool', 'package', 'refused'), [

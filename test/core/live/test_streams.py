@@ -31,9 +31,9 @@ class Streams:
         live = self.live
         self.arrival += PERIOD // 4
         if stream == 'pose':
-            before, found = live.tool.motion.estimated, live.on_pose(
+            before, found = live.motion.estimated, live.on_pose(
                 stamp, 'world', ORIGIN, UPRIGHT, self.arrival)
-            self.used['twist'] += len(found) - (live.tool.motion.estimated - before)
+            self.used['twist'] += len(found) - (live.motion.estimated - before)
             self.height = found[-1].position[2] if found else self.height
         elif stream == 'twist':
             live.on_twist(stamp, ORIGIN, ORIGIN, 'world')

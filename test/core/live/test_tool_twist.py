@@ -6,8 +6,8 @@ The estimate is exact on quadratics, and of second order on smooth motions.
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live.tool_screening import TwistSample
-from bellows_ros.core.live.tool_twist import Pairing, ToolMotion
+from bellows_ros.core.live.held_package import Sample
+from bellows_ros.core.live.tool_twist import Pairing, ToolMotion, TwistSample
 from bellows_ros.core.signals.screening import PoseSample
 import numpy as np
 from numpy.testing import assert_allclose
@@ -79,12 +79,12 @@ def test_a_lost_or_future_twist_does_not_block_poses(ahead_ns):
         pairing.add_pose(pose(k * MS))
         out += pairing.ready()  # one that does not wait goes on without its twist
         if k == 25 and ahead_ns:
-            pairing.add_twist(twist(k * MS + ahead_ns))
+            pairing.add_twist(twist(k * MS)._replace(stamp_ns=START + k * MS + ahead_ns))
         if k != 25 or ahead_ns:
             pairing.add_twist(twist(k * MS))
         out += pairing.ready()
     assert all(v is not None for _, v in out) and len(out) == 49
-    assert pairing.refused == bool(ahead_ns)
+    assert pairing.refused['twist_stamp'] == bool(ahead_ns)
 
 
 def test_random_arrivals_lose_no_pose_and_keep_the_order():
@@ -132,16 +132,15 @@ def test_exact_on_quadratics_even_with_uneven_stamps(count, back):
 def lagging(late, noise, seed, seconds=6.0):
     """Yield the history of poses later than their twists, and the moved, seen and true place."""
     rng, motion = np.random.default_rng(seed), ShakenTool(np.random.default_rng(1))
-    history, before = ToolMotion(in_world=False), (ZERO, UPRIGHT, ZERO, ZERO)
+    history, held = ToolMotion(in_world=False), Sample(1, (ZERO, UPRIGHT, ZERO, ZERO))
     for t in np.arange(0.0, seconds, 0.008):
         o, R, _ = motion.at(t - late)
         seen = PoseSample(START + round(t * 1e9), tuple(o + noise * rng.normal(size=3)),
                           tuple(rotation_to_quaternion(R)))
         true, _, V = motion.at(t)
-        history.add(seen)
-        before, *_ = history.measured(
-            seen, TwistSample(seen.stamp_ns, tuple(V[:3]), tuple(V[3:])), before, 0.008)
-        yield history, before[0], seen.position, true
+        _, now = history.states(
+            seen, TwistSample(seen.stamp_ns, tuple(V[:3]), tuple(V[3:])), held)
+        yield history, now[0], seen.position, true
 
 
 @pytest.mark.parametrize(('late', 'is_moved'), [(0.005, True), (0.0, False), (-0.005, False)])
