@@ -243,6 +243,9 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, Plan]]:
     """
     Return the plans in a recording, each with its topic, in the order of the files.
 
+    Predictions of the package along a plan (package/plan*) are left out, unless their topic is
+    given.
+
     Raises
     ------
     BellowsError
@@ -250,7 +253,7 @@ def plans_in(path: File, topic: str = '') -> list[tuple[str, Plan]]:
 
     """
     return [(name, plan) for name, _, message in _recorded(path, PLAN_TYPES, topic)
-            for plan in plans_of(message)]
+            if topic or 'package/plan' not in name for plan in plans_of(message)]
 
 
 def plans_in_yaml(content: Mapping[str, Any], name: str) -> list[Plan]:

@@ -570,6 +570,7 @@ def plan_with_cup(
 ) -> Source:
     """Return a plan, with a package in the parameters; see `plan`."""
     values = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
+    conversion.box_of(values)  # refused before the work
     require_types(motion=(path, str, os.PathLike, Trajectory))
     if isinstance(path, Trajectory):
         return Source(_checked_motion(path, path.twist), '', values)

@@ -20,7 +20,13 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
 from bellows_ros.core.toss.release import HeldMotion, NO_GRIP, Toss, toss
-from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
+from bellows_ros.errors import (
+    BellowsError,
+    NoTopicError,
+    shown,
+    UndeterminedError,
+    UnexplainedError,
+)
 from bellows_ros.files import bags, File, messages, results
 from bellows_ros.workflows import CommandResult, plan
 from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
@@ -177,13 +183,14 @@ def _require_request(
         raise BellowsError(
             'Neither release nor target is given. Give the time of the valve, --release T (s), '
             'or a place to hit, --target X Y (m), which a target_rotation needs.')
-    is_near = all(abs(x) <= MAX_TARGET for x in target or ())
-    if not (math.isfinite(switched or 0.0) and is_near and (
-            target_rotation is None or 0.5 <= np.linalg.norm(target_rotation) < math.inf)):
-        raise BellowsError(
-            f'release, target and target_rotation are {switched}, {target} and {target_rotation}; '
-            f'expected finite numbers, a target of at most {MAX_TARGET:g} m, and a quaternion of '
-            f'length 1.{"" if is_near else " Is the target in mm?"}')
+    for name, value, is_right, expected in (
+            ('release', switched, math.isfinite(switched or 0.0), 'a finite time, s'),
+            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
+             f'x and y of at most {MAX_TARGET:g} m (are they in mm?)'),
+            ('target_rotation', target_rotation, target_rotation is None or (
+                0.5 <= np.linalg.norm(target_rotation) < math.inf), 'a quaternion of length 1')):
+        if not is_right:
+            raise BellowsError(f'{name} is {shown(value)}; expected {expected}.')
 
 
 def toss_plan(
