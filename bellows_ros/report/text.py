@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .findings import text as text_of
-from .sentences import listed
+from .sentences import listed, many
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.validation import CornerScores
@@ -170,7 +170,8 @@ def print_identification(result: 'Identification', out: Any) -> None:
         if result.refusals:
             out.line('K and P of the refused fit, for diagnosis only:')
         print_cup(fit, out)
-    out.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
+    still = f', with {many(fit.standstills[0], "standstill")}' if fit.standstills else ''
+    out.paragraph(f'{fit.samples_used} samples used{still}, {fit.samples_rejected} rejected.')
     out.paragraph(*result.notes)
     out.warn(*result.warnings)
 

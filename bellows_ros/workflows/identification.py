@@ -104,8 +104,10 @@ class Identification(CommandResult):
     @cached_property
     def envelope(self) -> validity_range.Envelope:
         """The validity range of the fit."""
+        simulated = [each.validation.envelope for each in self._own_replays()
+                     if each.recording.views]  # poses of a tag are too noisy
         moving = validity_range.joined_envelopes(
-            [part.envelope for part in self.parts], self.values.vacuum.holding)
+            simulated or [part.envelope for part in self.parts], self.values.vacuum.holding)
         if self.static is None:
             return moving
         return with_standstills(moving, self.static.standstills, self.cup_length)
@@ -384,9 +386,13 @@ class Identification(CommandResult):
 
     def replays(self) -> 'Iterator[Replay]':
         """Yield free simulations of the validation recordings, then of those of the fit."""
+        yield from self.validations
+        yield from self._own_replays()
+
+    def _own_replays(self) -> 'Iterator[Replay]':
+        """Yield free simulations of the recordings of the fit."""
         from bellows_ros.workflows.replay import validated
 
-        yield from self.validations
         parameters = dict(zip(map(str, self.values.bags), values_of_each(self.cup_values()),
                               strict=True))
         for number, recording in enumerate(self.recordings):

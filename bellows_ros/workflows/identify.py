@@ -49,7 +49,7 @@ FIT_BEGINS = 0.2
 FIT_ENDS = 0.9
 """Fraction of the work at which the fit ends, for the progress display."""
 
-FORCE = "The cup was not fitted; 'bellows identify --force' fits it all the same."
+FORCE = "The cup was not fitted; 'bellows identify --force' fits it, and marks it as refused."
 """Remedy for users who accept the faults of a recording."""
 
 CAUSE_TESTS = 'testing possible causes'

@@ -191,7 +191,7 @@ def checked(recording: Recording) -> Recording:
 
     """
     found = recording_remarks(recording)
-    require_none(found, 'replay')
+    require_none((*recording.report.remarks, *found), 'replay')
     return _with_sentences(replace(recording, report=replace(
         recording.report, remarks=(*recording.report.remarks, *found))), found)
 
@@ -203,8 +203,9 @@ def _with_sentences(recording: Recording, remarks: Iterable[Finding]) -> Recordi
 
 
 def require_none(remarks: Iterable[Finding], use: str, more: str = '') -> None:
-    """Raise for faults that prevent a use of a recording, 'fit' or 'replay'."""
-    if wrong := [remark for remark in remarks if prevents(remark, use)]:
+    """Raise for all faults, if some prevent a use of a recording, 'fit' or 'replay'."""
+    wrong = [remark for remark in remarks if remark.level == Level.ERROR]
+    if any(prevents(remark, use) for remark in wrong):
         error = BellowsError if any(prevents(each, 'replay') for each in wrong) else (
             UnexplainedError)
         raise error(' '.join([

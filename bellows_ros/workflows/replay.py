@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import result, segments
+from bellows_ros.core.identification import result
 from bellows_ros.core.identification.validation import (
     corner_scores,
     CornerScores,
@@ -299,9 +299,7 @@ def validated(values: Values, recording: Recording) -> Replay:
     validation = validate(cup_of(values), recording)
     found = [*validation.findings]
     valid = conversion.parameter_envelope(values)
-    outside = validity_range.beyond(
-        valid, segments.envelope_of(recording, values.cup.length)) if valid else []
-    if outside:
+    if valid and (outside := validity_range.beyond(valid, validation.envelope)):
         found.append(Finding('outside', Level.WARN, {'ranges': outside}))
     return Replay(recording.name, values, recording, validation, tuple(found))
 

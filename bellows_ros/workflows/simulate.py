@@ -18,11 +18,11 @@ from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
-from bellows_ros.core.parameters.conversion import cup_of, package_of
+from bellows_ros.core.parameters.conversion import cup_of, package_of, tip_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
-from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
+from bellows_ros.core.signals.trajectory import from_tip, NS_PER_S, pose_rows, Trajectory
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import planned, sample_stamps
 from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
@@ -126,7 +126,8 @@ def simulate_recording(
     progress(f'simulating {recipe.motion.duration:g} s')
     model = model_tuple(cup_of(values), package_of(values), values.gravity.magnitude)
     truth = _simulate(values, model, recipe, plans)
-    recorded = _record(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level)
+    recorded = _record(recipe, plans, truth, sensing.WORLDS[recipe.world] @ R_world_level,
+                       tip_of(values))
     progress(f'writing {sum(len(r.stamps_ns) for r in recorded)} messages to {bag}')
     bags.write_bag(bag, recorded, recipe.storage, recipe.zstd, replace)
     if truth_file:
@@ -180,11 +181,16 @@ def _simulate(
 
 
 def _record(
-    recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, world: Array
+    recipe: Recipe, plans: Mapping[str, sensing.Schedule], truth: Truth, world: Array,
+    tip: Array | None,
 ) -> list[bags.Encoded]:
-    """Return the messages of all topics in recorded axes, by the rotation (3, 3) to them."""
-    seed = recipe.seed
-    tool, at = truth.at(plans['tool'].sampled_ns).tool, truth.at(plans['package'].sampled_ns)
+    """
+    Return the messages of all topics in recorded axes, by the rotation (3, 3) to them.
+
+    The recorded frame of the tool is the frame in which E has the pose `tip` (4, 4), else E.
+    """
+    seed, tool = recipe.seed, from_tip(truth.at(plans['tool'].sampled_ns).tool, tip)
+    at = truth.at(plans['package'].sampled_ns)
     recorded = list[bags.Encoded]()
     for name, body, sensor, plan in (('tool', tool, recipe.tool, plans['tool']),
                                      ('package', at.package, recipe.package, plans['package'])):

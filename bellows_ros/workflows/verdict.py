@@ -32,9 +32,6 @@ import numpy as np
 MAX_TESTED = 3
 """Largest number of tested recordings; more give no further information."""
 
-MAX_SIMULATED = 50_000
-"""Largest number of samples of a recording simulated freely for the verdict."""
-
 MAX_NOISE = 1.1
 """Largest ratio of a free simulation's error to the noise of the poses, if there is no misfit."""
 
@@ -312,7 +309,7 @@ def _simulated(
     if recording.views and noise_in_motion is not None:
         recording = recording.with_noise(noise_in_motion)
     try:
-        result = validate(cup, recording, MAX_SIMULATED)
+        result = validate(cup, recording)
     except UnstableError:
         unknown = np.full(6, np.nan)
         return Simulated(recording.name, unknown, unknown, unknown)
@@ -331,7 +328,7 @@ def _simulated(
 def _held_out(cup: Cup, recording: Recording) -> Array:
     """Return the RMS errors of a free simulation in the last fifth, of a tag in its corners."""
     try:
-        result = validate(cup, recording, MAX_SIMULATED)
+        result = validate(cup, recording)
     except UnstableError:
         return np.full(1 if recording.views else 6, np.inf)
     first, last = result.stamps_ns[[0, -1]]

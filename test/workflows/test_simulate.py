@@ -5,6 +5,8 @@ import json
 
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.parameters.checks import Settings
+from bellows_ros.core.parameters.conversion import tip_of
+from bellows_ros.core.signals.trajectory import streams_at_tip
 from bellows_ros.core.synthetic.motion import MOTION_KINDS
 from bellows_ros.core.synthetic.recipe import read_recipe
 from bellows_ros.errors import BellowsError
@@ -105,6 +107,18 @@ def test_streams_have_their_own_rates_and_are_the_truth_without_noise(tmp_path):
     assert_allclose(streams['tool_twist'].angular, spatial_rate, atol=1e-14)
     assert {s.frame_id for s in streams.values()} == {'world'}
     assert report.duration_s == 2.0 and report.warnings == ()
+
+
+def test_the_recorded_frame_of_the_tool_is_that_of_the_driver(tmp_path):
+    offset = '0.1 0 0.2 1 0 0 0'
+    plain, _ = recorded(tmp_path, MOTION)
+    simulate_recording({**PARAMETERS, 'tool_pose.offset': offset}, MOTION, tmp_path / 'flange')
+    flange = read_streams(tmp_path / 'flange', ROLES)
+    poses, twists = streams_at_tip(
+        flange['tool_pose'], flange['tool_twist'], tip_of({'tool_pose.offset': offset}), True)
+    assert_allclose(poses.position, plain['tool_pose'].position, atol=1e-14)
+    assert_allclose(twists.linear, plain['tool_twist'].linear, atol=1e-14)
+    assert np.abs(flange['tool_pose'].position - poses.position).max() > 0.1
 
 
 NOISY = {

@@ -5,6 +5,7 @@ The projection, the lens and the shutter are the test's own.
 """
 
 from bellows_ros.core.geometry.lie import exp_so3, log_so3, rotation_to_quaternion
+from bellows_ros.core.identification.least_squares import envelope
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.files.bags import as_messages, write_bag
 from bellows_ros.files.messages import DETECTIONS
@@ -13,6 +14,7 @@ from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.info import info
 from bellows_ros.workflows.replay import replay
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 from ..cell.cup import PLATE, THESIS
@@ -96,6 +98,8 @@ def test_a_lens_and_a_smaller_tag_than_stated_leave_k_and_name_the_inputs(motion
     assert scale == pytest.approx(0.9, abs=5e-4)
     assert latency[0] == pytest.approx(1e-9 * LATE_NS, abs=1e-4)
     assert found.cell_parameters()['measured.type'] == 'detections'
+    true = envelope(*motion, PLATE, THESIS.length)
+    assert_allclose(found.envelope.high[:3], true.high[:3], atol=2e-3)
     (free,) = found.verdict.simulated
     assert free.axes == ('corners',) and free.is_at_noise and free.motion > 20.0 * free.rms
     assert found.remappings == {

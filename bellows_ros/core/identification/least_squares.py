@@ -59,10 +59,6 @@ class LipMotion(NamedTuple):
     twist: Array
     wrench: Array
 
-    def displacement(self, cup_length: float) -> Array:
-        """Return the displacement of the lip from nominal (N, 6): E_o_S + l0 z (m), rotation."""
-        return np.hstack([self.position + [0.0, 0.0, cup_length], log_so3(self.rotation)])
-
     def equations(self, cup_length: float, structure: Structure) -> Iterator[Array]:
         """Yield rows [L c] (N, 6, p + 1) of (4.67), (4.68) in blocks, for a cup length l0 in m."""
         for start in range(0, max(len(self.wrench), 1), BLOCK):
@@ -138,7 +134,8 @@ def likely_delay(recording: Recording) -> float | None:
     for number, delay in enumerate(DELAYS.tolist()):
         with suppress(BellowsError):  # nothing in common at this delay
             lip = samples_of(with_tool_earlier(recording, delay)).lip
-            A = np.hstack([lip.displacement(0.0), lip.twist, np.ones((len(lip.wrench), 1))])
+            A = np.hstack([lip.position, log_so3(lip.rotation), lip.twist,
+                           np.ones((len(lip.wrench), 1))])
             left = lip.wrench - A @ np.linalg.lstsq(A, lip.wrench, rcond=None)[0]
             unexplained[number] = np.mean(np.log(left.var(axis=0) / lip.wrench.var(axis=0)))
     best = int(np.argmin(unexplained))
@@ -184,14 +181,18 @@ def needed_wrench(package: Package, motion: Trajectory, gravity: ArrayLike) -> A
     return np.hstack([force, moment + np.cross(package.com, force)])
 
 
-def envelope(samples: Samples, cup_length: float) -> Envelope:
+def envelope(
+    tool: Trajectory, package: Trajectory, payload: Package, cup_length: float
+) -> Envelope:
     """
-    Return the validity range of a recording.
+    Return the validity range of a motion.
 
     Parameters
     ----------
-    samples : Samples
-        Samples of the fit; invalid samples are omitted.
+    tool, package : Trajectory
+        Poses of E and B with body twists, at the same stamps; invalid samples are omitted.
+    payload : Package
+        Mass and centre of mass of the package.
     cup_length : float
         Cup length l0, m.
 
@@ -201,10 +202,13 @@ def envelope(samples: Samples, cup_length: float) -> Envelope:
         If there are no valid samples.
 
     """
-    if not samples.count:
+    valid, load = tool.valid & package.valid, (payload.mass, 0.0)
+    if not valid.any():
         raise BellowsError('The recording has no valid samples, hence no validity range.')
-    deflection, load = samples.lip.displacement(cup_length), (samples.payload.mass, 0.0)
-    rates = np.abs(samples.lip.twist).max(axis=0)
+    position, rotation, twist = lip_relative(
+        tool.select(valid), package.select(valid), payload.com)
+    deflection = np.hstack([position + [0.0, 0.0, cup_length], log_so3(rotation)])
+    rates = np.abs(twist).max(axis=0)
     return Envelope(np.hstack([deflection.min(axis=0), -rates, load]),
                     np.hstack([deflection.max(axis=0), rates, load]))
 

@@ -21,7 +21,7 @@ from bellows_ros.core import usable_cores
 from bellows_ros.core.findings import Finding
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.identification.least_squares import envelope, samples_of
+from bellows_ros.core.identification.least_squares import envelope
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope
@@ -393,12 +393,6 @@ def whole_recordings(recordings: Sequence[AnyRecording]) -> list[Recording]:
     return [recording for recording in recordings if isinstance(recording, Recording)]
 
 
-def envelope_of(recording: Recording, cup_length: float) -> Envelope:
-    """Return the validity range of a recording."""
-    return recording.cached(
-        ('envelope', cup_length), lambda: envelope(samples_of(recording), cup_length))
-
-
 def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
     """
     Return a recording reduced, if it is not.
@@ -415,4 +409,5 @@ def reduced(recording: AnyRecording, cup_length: float) -> ReducedRecording:
     return ReducedRecording(
         recording.as_json(), recording.digest, recording.files, recording.payload,
         report.time_offset, report.package_world, report.package.timing.rate_hz, cup_length,
-        envelope_of(recording, cup_length), report.remarks)
+        envelope(recording.tool, recording.package, recording.payload, cup_length),
+        report.remarks)

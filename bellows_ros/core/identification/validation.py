@@ -14,6 +14,7 @@ from typing import NamedTuple
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
+from bellows_ros.core.identification.least_squares import envelope
 from bellows_ros.core.identification.result import CHANCE
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
@@ -23,6 +24,7 @@ from bellows_ros.core.model.simulation import (
     state_row,
     tool_rows,
 )
+from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.alignment import rest_of
 from bellows_ros.core.recording.recording import NOISE_SAMPLES, Recording
 from bellows_ros.core.signals import residuals
@@ -190,6 +192,11 @@ class Validation(residuals.Comparison):
             std = self.recording.poses_near(self.runs[0].package)[1]
         return np.asarray(np.sqrt(variances + std**2))
 
+    @property
+    def envelope(self) -> Envelope:
+        """Validity range of the free simulation, without noise of the package's poses."""
+        return envelope(self.tool, self.package, self.recording.payload, self.cup.length)
+
     @cached_property
     def corners(self) -> CornerScores | None:
         """Errors in the corners of a tag, which rate the prediction; None for a body."""
@@ -239,7 +246,7 @@ class Validation(residuals.Comparison):
         return Finding('above_limit', Level.OK, {'limit': limit, 'axes': failing or ('none',)})
 
 
-def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> Validation:
+def validate(cup: Cup, recording: Recording) -> Validation:
     """
     Simulate a recording from start to end, and compare both at the rate of the tool.
 
@@ -249,8 +256,6 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
         Cup under test.
     recording : Recording
         Recording that was not used for the identification.
-    max_samples : int, optional
-        Number of samples from the first valid one on; default: all.
 
     Raises
     ------
@@ -263,8 +268,6 @@ def validate(cup: Cup, recording: Recording, max_samples: int | None = None) -> 
     first, last = recording.measured_tool.stamps_ns[[0, -1]]
     poses = poses.select(slice(max(int(np.searchsorted(poses.stamps_ns, first, 'right')) - 1, 0),
                                int(np.searchsorted(poses.stamps_ns, last)) + 1))
-    if max_samples is not None:
-        poses = poses.select(slice(int(np.argmax(poses.valid)) + max_samples))
     runs = [_run(cup, recording, part, is_first=not number)
             for number, part in enumerate(_segments_of(poses, recording))]
     findings = [

@@ -212,7 +212,7 @@ class Margin(NamedTuple):
         """The margin as a finding."""
         place = f'{self.mode}, at {self.time:.2f} s'
         return safety_finding(self.factor, place, 0.0, 1.0) or Finding(
-            'grip', Level.OK, {'factor': self.factor, 'mode': place})
+            'grip', Level.OK, {'factor': self.factor, 'mode': place, 'lower': ''})
 
 
 def margin(grip: Grip, factors: Array, seconds: Array) -> Margin:
@@ -230,4 +230,5 @@ def safety_finding(
     if math.isinf(factor) or (factor >= 1.0 and factor - 2.0 * std >= required):
         return None
     return Finding('grip', Level.ERROR if factor < 1.0 else Level.WARN, {
-        'factor': factor, 'mode': mode, 'lower': factor - 2.0 * std, 'required': required})
+        'factor': factor, 'mode': mode, 'required': required, 'lower': (
+            f', {factor - 2.0 * std:.3g} less two standard deviations' if std else '')})

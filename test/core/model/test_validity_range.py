@@ -2,7 +2,7 @@
 
 
 from bellows_ros.core.geometry.lie import exp_so3
-from bellows_ros.core.identification.least_squares import envelope, Samples
+from bellows_ros.core.identification.least_squares import envelope
 from bellows_ros.core.model import validity_range
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope, outside_loads
@@ -22,7 +22,7 @@ COM = np.array([0.0, 0.0, -0.03])
 RATE = 200.0
 
 
-def samples(mass=2.0, frequency=2.0, valid=True):
+def motion(mass=2.0, frequency=2.0, valid=True):
     """Return 10 s in which the lip moves 3 mm along x and turns 0.1 rad about z, at rest tool."""
     t = np.arange(2000) / RATE
     stamps = (t * 1e9).round().astype(np.int64)
@@ -38,12 +38,12 @@ def samples(mass=2.0, frequency=2.0, valid=True):
     # B lies on the axis of torsion, so its velocity is that of the lip
     package = Trajectory(stamps, lip + COM, R, twist, np.zeros((len(t), 6)), valid)
     tool = Trajectory(stamps, np.zeros((len(t), 3)), eye, np.zeros((len(t), 6)))
-    return Samples(tool, package, Package(mass, np.eye(3) * 0.01, COM), 9.81, 0.1)
+    return tool, package, Package(mass, np.eye(3) * 0.01, COM), LENGTH
 
 
 def test_ranges_are_those_of_the_valid_motion():
     """Find the amplitudes, the largest rates and the mass."""
-    found = envelope(samples(), LENGTH)
+    found = envelope(*motion())
     amplitude = np.array([3e-3, 0, 0, 0, 0, 0.1])
     assert_allclose(found.high[:6], amplitude, rtol=1e-3, atol=1e-12)
     assert_allclose(found.low[:6], -amplitude, rtol=1e-3, atol=1e-12)
@@ -51,16 +51,16 @@ def test_ranges_are_those_of_the_valid_motion():
     # where the lip is fastest its torsion is zero, and its own axes are the tool's
     assert_allclose(found.high[[6, 11, 12]], [3e-3 * omega, 0.1 * omega, 2.0], rtol=1e-3)
     assert_allclose(found.low[6:12], -found.high[6:12])
-    half = envelope(samples(valid=samples().package.position[:, 0] > 0), LENGTH)
+    half = envelope(*motion(valid=motion()[1].position[:, 0] > 0))
     assert half.low[0] > 0.0
     with pytest.raises(BellowsError):
-        envelope(samples(valid=np.zeros(2000, dtype=bool)), LENGTH)
+        envelope(*motion(valid=np.zeros(2000, dtype=bool)))
 
 
 def test_several_recordings_and_standstills_widen_every_range():
     """Take the smallest and the largest of all; standstills have no rates."""
     both = validity_range.joined_envelopes(
-        [envelope(samples(1.5, 2.0), LENGTH), envelope(samples(2.5, 5.0), LENGTH)], 2e4)
+        [envelope(*motion(1.5, 2.0)), envelope(*motion(2.5, 5.0))], 2e4)
     assert_allclose([both.low[12:], both.high[12:]], [[1.5, 2e4], [2.5, 2e4]])
     assert_allclose(both.high[11], 0.1 * 2 * np.pi * 5.0, rtol=1e-3)
     at = np.array([0])
