@@ -199,7 +199,7 @@ class Screen(StampScreen):
         """Return the reason of the first failed check, or ''."""
         if reason := screening.why_no_pose(o, q):
             return reason
-        if stamp_ns <= 0:
+        if not 0 < stamp_ns < 2**63:
             return 'zero_stamp'
         if frame_id != self.frame and not same_frame(self.frame, frame_id):
             if not 0 <= self._foreign_ns <= stamp_ns:
