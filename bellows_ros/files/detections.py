@@ -11,7 +11,6 @@ from bellows_ros.core.sensors.camera import (
     camera_of,
     CornerViews,
     directions,
-    size_of,
     tags_in,
     tags_of,
     tags_shown,
@@ -21,7 +20,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
 from bellows_ros.files.bags import absolute, Contents
-from bellows_ros.files.messages import CAMERA_INFO, DETECTIONS, IMAGE
+from bellows_ros.files.messages import CAMERA_INFO, DETECTIONS
 from bellows_ros.files.plans import ns_of, TRANSFORM
 import numpy as np
 
@@ -182,24 +181,20 @@ def _name_of(topic: str, path: File, views: list[Any], tag: TagSought) -> str:
 
 def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:
     """Return the camera of a frame, and the topic of its calibration."""
-    found: dict[Camera, tuple[str, tuple[int, int]]] = {}
+    found: dict[Camera, str] = {}
     for topic, _, info in bags.messages_of(path, {CAMERA_INFO}):
         if info.header.frame_id == frame:
-            found.setdefault(camera_of(info, rectified), (topic, size_of(info)))
+            found.setdefault(camera_of(info, rectified), topic)
     if not found:
         raise BellowsError(
             f"Recording '{Path(path)}' has no {CAMERA_INFO} of the frame '{frame}', in which tags "
             "were detected. Record the camera's camera_info too.")
     if len(found) > 1:
-        size = next(((image.width, image.height) for _, _, image
-                     in bags.messages_of(path, {IMAGE}) if image.header.frame_id == frame), None)
-        found = {camera: each for camera, each in found.items() if each[1] == size} or found
-    if len(found) > 1:
-        listed = ', '.join(sorted(f'{topic} ({x} x {y})' for topic, (x, y) in found.values()))
         raise BellowsError(
             f"Recording '{Path(path)}' has {len(found)} calibrations of the frame '{frame}', on "
-            f'{listed}. Record the one of the image in which tags are detected.')
-    ((camera, (topic, _)),) = found.items()
+            f'{", ".join(sorted(found.values()))}. Record the one of the image in which tags are '
+            'detected.')
+    ((camera, topic),) = found.items()
     return camera, topic
 
 

@@ -49,7 +49,6 @@ LIP_FRAME, PACKAGE_FRAME = 'cup_lip', 'package'
 
 DETECTIONS = 'apriltag_msgs/msg/AprilTagDetectionArray'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-IMAGE = 'sensor_msgs/msg/Image'
 
 TAG_TYPES = {
     'apriltag_msgs/msg/Point': 'float64 x\nfloat64 y',

@@ -5,8 +5,9 @@ Values are those of ROS: 1e-05 is a number, yes and on are true, 2024-05-01 and 
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
-import re
 from typing import Any
 
 from bellows_ros.errors import BellowsError
@@ -15,11 +16,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 MAX_FILE_BYTES = 2**28
+NUMERIC = frozenset('-+.0123456789')
+"""First characters of numbers."""
 
-_INTEGER = re.compile(r'[-+]?(?:0b[01_]+|0[0-7_]*|[1-9][0-9_]*|0x[0-9a-fA-F_]+)$')
-_FLOAT = re.compile(
-    r'[-+]?(?:[0-9][0-9_]*\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?'
-    r'|[0-9]+[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))$|\.(?:nan|NaN|NAN)$')
 _WORDS: dict[str, bool | None] = {
     form: value for value, words in ((None, ('', '~', 'null')), (True, ('true', 'yes', 'on')),
                                      (False, ('false', 'no', 'off')))
@@ -99,15 +98,9 @@ def _refused(why: str, node: Any) -> MarkedYAMLError:
 
 def plain(text: str) -> Any:
     """Return the value of a text without quotes."""
-    if text[:1] in _NUMERIC:
-        if _INTEGER.match(text):
-            digits = text.replace('_', '').lstrip('+-')
-            base = {'0b': 2, '0x': 16}.get(digits[:2], 8 if digits[:1] == '0' else 10)
-            return (-1 if text[0] == '-' else 1) * int(digits, base)
-        if _FLOAT.match(text):
-            return float(text.replace('_', '').lower().replace('.inf', 'inf').replace(
-                '.nan', 'nan'))
+    if text[:1] in NUMERIC:
+        number = text.lower().replace('.inf', 'inf').replace('.nan', 'nan')
+        for kind in (partial(int, base=0), float):
+            with suppress(ValueError):
+                return kind(number)
     return _WORDS.get(text, text)
-
-
-_NUMERIC = frozenset('-+.0123456789')

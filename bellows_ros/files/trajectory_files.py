@@ -16,7 +16,6 @@ import csv
 from decimal import Decimal
 from io import StringIO
 from itertools import islice
-import re
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -32,8 +31,6 @@ SETTINGS: Mapping[str, Mapping[str, float]] = {
     'Rotation Type': {'Quaternion': 1.0}, 'Coordinate Space': {'Global': 1.0},
     'Length Units': {'Meters': 1.0, 'Centimeters': 0.01, 'Millimeters': 0.001, 'Inches': 0.0254}}
 """Accepted settings of an export; those of the length units are in m."""
-START = re.compile(r'(\d{4}-\d\d-\d\d) (\d+)[.:](\d+)[.:](\d+[.,]?\d*) ?([AP]?)', re.IGNORECASE)
-"""Start of a capture, in the forms of several languages of Windows."""
 POSE = [f'Position {axis}' for axis in 'XYZ'] + [f'Rotation {axis}' for axis in 'XYZW']
 MIN_QUALITY = 0.99
 """Smallest quality of a visible marker (appendix H)."""
@@ -85,7 +82,7 @@ def is_motive(path: File) -> bool:
 
 def read_motive(path: File) -> list[TrackedBody]:
     """
-    Return the rigid bodies of an export of Motive, in its world.
+    Return the rigid bodies of an export of Motive, in its world, with stamps from 1 s on.
 
     Parameters
     ----------
@@ -114,11 +111,11 @@ def read_motive(path: File) -> list[TrackedBody]:
         raise BellowsError(
             f"'{path}' is no CSV export of Motive with rigid bodies and their header "
             f"({shown(str(error), 80)}). Export it again, with 'Header Information' on.") from None
-    scale, start_ns = _settings(path, settings)
+    scale = _unit(path, settings)
     table = dict(zip(needed, np.array(values).reshape(-1, len(needed)).T, strict=True))
     if not len(table[1]) or not np.all(np.abs(table[1]) < 1e9):  # column 1 is the time, s
         raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
-    stamps, bodies = start_ns + np.rint(table[1] * NS_PER_S).astype(np.int64), []
+    stamps, bodies = np.rint((1.0 + table[1]) * NS_PER_S).astype(np.int64), []
     for name, (pose, markers, least) in found.items():
         poses = np.column_stack([table[i] for i in pose]) * [*3 * [scale], *4 * [1.0]]
         present = np.isfinite(poses).all(axis=1)
@@ -149,8 +146,8 @@ def _columns(*heads: Sequence[str]) -> dict[str, tuple[list[int], list[int], flo
         MIN_QUALITY if qualities[name] else -np.inf) for name in names}
 
 
-def _settings(path: File, row: Sequence[str]) -> tuple[float, int]:
-    """Return the unit of length, m, and the start (ns, as UTC; 1 s if not stated)."""
+def _unit(path: File, row: Sequence[str]) -> float:
+    """Return the unit of length, m; raise for settings that are not accepted."""
     about = dict(zip(row, row[1:], strict=False))  # by name, as a take's name may have commas
     for name, accepted in SETTINGS.items():
         value = about.get(name, '' if name == 'Length Units' else next(iter(accepted)))
@@ -158,11 +155,4 @@ def _settings(path: File, row: Sequence[str]) -> tuple[float, int]:
             raise BellowsError(
                 f"'{path}' has {name} '{value}'; expected {' or '.join(accepted)}. Export it "
                 'again with this setting.')
-    start_ns = NS_PER_S
-    if start := START.match(about.get('Capture Start Time', '').strip()):
-        day, hour, minute, second, half = start.groups()
-        hours = int(hour) % 12 + 12 * (half.upper() == 'P') if half else int(hour)
-        with suppress(ValueError):
-            start_ns = int(np.datetime64(f'{day}T{hours:02}:{minute:0>2}', 'ns').astype(int)) + (
-                round(float(second.replace(',', '.')) * NS_PER_S))
-    return SETTINGS['Length Units'][about['Length Units']], start_ns
+    return SETTINGS['Length Units'][about['Length Units']]

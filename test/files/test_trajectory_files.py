@@ -106,18 +106,15 @@ V24 = ('Format Version,1.24,Take Name,sweep,Take Notes,,Capture Frame Rate,360.0
        'Millimeters,Coordinate Space,Global')
 
 
-@pytest.mark.parametrize(('settings', 'timecode', 'start'), [
-    (V22, False, '2018-10-05T00:05:03.445'),
-    (V22.replace('03.445', '3.445'), False, '2018-10-05T00:05:03.445'),
-    (V24.replace('1.24', '1.23'), False, '2023-06-02T12:09:45.344'),
-    (V24, True, '2023-06-02T12:09:45.344'),
-    (V24.replace('1.24', '1.25'), False, '2023-06-02T12:09:45.344')])
-def test_all_layouts_are_read(settings, timecode, start, tmp_path):
+@pytest.mark.parametrize(('settings', 'timecode'), [
+    (V22, False), (V24.replace('1.24', '1.23'), False), (V24, True),
+    (V24.replace('1.24', '1.25'), False)])
+def test_all_layouts_are_read(settings, timecode, tmp_path):
     """Find poses by their heads, among skeletons, markers and time codes, in millimetres."""
     columns = [*pose('Hip', kind='Bone'), *pose('Tool'), *marker('Marker', 'Loose 1', ('1', ''))]
     (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, settings, timecode))
     np.testing.assert_allclose(tool.values[0], [0.1, 1.2, 0.005, 0.0, 0.6, 0.0, -0.8])
-    assert tool.stamps_ns[0] == np.datetime64(start, 'ns').astype(int)
+    assert tool.stamps_ns[0] == 10**9
 
 
 def test_markers_belong_to_the_body_with_the_longest_name(tmp_path):
@@ -149,8 +146,6 @@ def test_bodies_are_read_and_bad_frames_left_out(tmp_path):
     assert (plate.name, plate.left_out) == ('Plate', {'not tracked': 1})
     np.testing.assert_allclose(tool.values[-1], [0.1, 1.2, 3.0, 0.0, 0.0, 0.6, 0.8])
     np.testing.assert_allclose(np.diff(plate.stamps_ns), [2777780, 5555550], atol=1000)  # 1 us
-    # 2021-05-11 14:31:05.250 UTC
-    assert tool.stamps_ns[0] == 1_620_743_465_250_000_000
 
 
 @pytest.mark.parametrize(('change', 'named'), [

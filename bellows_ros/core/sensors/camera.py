@@ -161,12 +161,6 @@ def camera_of(info: Any, is_rectified: bool) -> Camera:
     return Camera(tuple(matrix.ravel().tolist()), *lens)
 
 
-def size_of(info: Any) -> tuple[int, int]:
-    """Return width and height (pixels) of the image of a CameraInfo."""
-    return ((info.roi.width or info.width) // max(info.binning_x, 1),
-            (info.roi.height or info.height) // max(info.binning_y, 1))
-
-
 def tags_in(array: Any) -> dict[str, list[list[tuple[float, float]]]]:
     """
     Return the corners (pixels) of the tags in an AprilTagDetectionArray, by family and number.
