@@ -649,9 +649,9 @@ def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     R_world_level = alignment.levelling(values.gravity.direction).T  # z of a motion file is up
     motion = recipe.motion
     count = max(2, math.ceil(motion.duration * 500.0))  # Hz
-    stamps = recipe.start_ns + np.round(
+    stamps = START_NS + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
-    tool = alignment.in_world(motion.trajectory(stamps, recipe.start_ns), R_world_level)
+    tool = alignment.in_world(motion.trajectory(stamps, START_NS), R_world_level)
     return Source(_checked_motion(tool, tool.twist), recipe.frame_id, values)
 
 

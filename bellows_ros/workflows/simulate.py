@@ -38,6 +38,8 @@ MIN_RATE = 500.0
 MAX_SAMPLES = 5_000_000
 """Largest number of samples of a simulation."""
 
+POSE_TOPICS = {'tool': '/tool_arm/pose', 'package': '/package/pose'}
+
 
 class SimulationReport(NamedTuple):
     """
@@ -120,7 +122,7 @@ def simulate_recording(
         bag.with_name(f'{bag.name}_truth.npz')) if recipe.truth else None
     plans = {
         name: sensing.schedule(
-            sensor, recipe.motion.duration, recipe.motion.rest_duration, recipe.start_ns,
+            sensor, recipe.motion.duration, recipe.motion.rest_duration, sensing.START_NS,
             generator(recipe.seed, f'{name} plan'))
         for name, sensor in (('tool', recipe.tool), ('package', recipe.package))}
     progress(f'simulating {recipe.motion.duration:g} s')
@@ -166,9 +168,9 @@ def _simulate(
         raise BellowsError(
             f'The recording needs {count:.2g} simulated samples; the limit is '
             f'{MAX_SAMPLES:.2g}. Make it shorter, or lower the rates or the highest frequency.')
-    fine = sample_stamps(rate, motion.duration, recipe.start_ns)
+    fine = sample_stamps(rate, motion.duration, sensing.START_NS)
     stamps_ns = np.unique(np.concatenate([fine, *(p.sampled_ns for p in plans.values())]))
-    tool = motion.trajectory(stamps_ns, recipe.start_ns)
+    tool = motion.trajectory(stamps_ns, sensing.START_NS)
     speed, rate = (float(np.max(np.linalg.norm(part, axis=1)))
                    for part in np.hsplit(np.asarray(tool.twist), 2))
     if speed > screening.MAX_TOOL_SPEED or rate > screening.MAX_TOOL_RATE:
@@ -197,14 +199,14 @@ def _record(
         late_ns = round(sensor.latency * NS_PER_S)  # delay of the receipt
         poses = sensing.measure_poses(body, sensor, plan, world, generator(seed, name))
         recorded.append(bags.as_messages(
-            recipe.topics[f'{name}_pose'], messages.POSE, poses.stamps_ns,
+            POSE_TOPICS[name], messages.POSE, poses.stamps_ns,
             pose_rows(poses), recipe.frame_id,
             log_times_ns=poses.stamps_ns + late_ns))
         if name == 'tool' and recipe.tool_twist:
             twists = sensing.measure_twists(tool, recipe.tool_twist, sensor.marker, plan, world,
                                             generator(seed, 'tool twist'))
             recorded.append(bags.as_messages(
-                recipe.topics['tool_twist'], messages.TWIST, poses.stamps_ns, twists,
+                '/tool_arm/twist', messages.TWIST, poses.stamps_ns, twists,
                 recipe.frame_id, log_times_ns=poses.stamps_ns + late_ns))
     return recorded
 
@@ -225,6 +227,7 @@ def _truth_bytes(
             R_world_level @ motion.rotation, apply(R_world_level, motion.position))
         arrays[f'{name}_twist'] = np.asarray(motion.twist)
     file = io.BytesIO()
-    np.savez(file, t=(sampled_ns - recipe.start_ns) / NS_PER_S, **arrays,  # type: ignore[arg-type]
-             K=cup.stiffness, P=cup.damping)
+    arrays |= {'t': (sampled_ns - sensing.START_NS) / NS_PER_S, 'K': cup.stiffness,
+               'P': cup.damping}
+    np.savez(file, **arrays)  # type: ignore[arg-type]
     return file.getvalue()

@@ -199,7 +199,7 @@ LINES = (
 @functools.cache
 def shake(axes=(0, 1, 2, 3, 4, 5), duration=10.0, seed=1, rest=0.5, lines=LINES):
     """Return a tool motion that drives some axes."""
-    sines = [Sine(axis, size, f, f) for axis in axes for size, f in lines[axis]]
+    sines = [Sine(axis, size, f) for axis in axes for size, f in lines[axis]]
     phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(sines))
     return oscillation(Pose(np.zeros(3), np.eye(3)), rest, 1.0, duration, sines, phase)
 

@@ -152,7 +152,6 @@ MASSLESS = {name: value for name, value in PARAMETERS.items() if name != 'packag
     (PARAMETERS, motion(tool={}), "'tool.rate_hz'"),
     *((PARAMETERS, motion(**changes), named) for changes, named in (
         ({'package.twist': {}}, "'package.twist'"),
-        ({'topics.package_pose': 'tool_arm/pose'}, "'topics.package_pose'"),
         ({'tool.dropouts': {'count': 9, 'duration': 1}}, r"'tool'.*\b2260 samples"),
         ({'tool.outliers': {'count': 2}}, "'tool.outliers.position'"),
         ({'duration': 3600.0}, r'8\.9e\+06 .*5e\+06'),

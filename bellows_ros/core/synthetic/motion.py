@@ -22,7 +22,7 @@ from numpy.random import Generator
 HOLD_MOVE = 1.0
 """Time in which an oscillation fades into its hold, s."""
 
-MOTION_KINDS = ('multi_sine', 'chirp', 'waypoints', 'static')
+MOTION_KINDS = ('multi_sine', 'waypoints', 'static')
 
 MAX_DURATION = 3600.0
 """Longest motion, s."""
@@ -96,16 +96,13 @@ class Sine(NamedTuple):
     """
     A component of an oscillation.
 
-    The axis is 0 to 2 in world axes, 3 to 5 in the rotation vector; the frequency changes linearly
-    from the end of the rest to the end of the motion.
+    The axis is 0 to 2 in world axes, 3 to 5 in the rotation vector; amplitudes are in m or rad,
+    frequencies in Hz.
     """
 
     axis: int
     amplitude: float
-    """Amplitude, m or rad."""
-    first: float
-    last: float
-    """First and last frequency, Hz."""
+    frequency: float
 
 
 def oscillation(
@@ -139,13 +136,11 @@ def oscillation(
             size, slope = size * (1.0 - held), slope * (1.0 - held) - size * rate
             moved[:, :, 3:] = np.multiply.outer([held, rate], hold[0])
         for sine, at_rest in zip(sines, phase, strict=True):
-            first, last = 2.0 * np.pi * sine.first, 2.0 * np.pi * sine.last
-            sweep = (last - first) / (duration - rest)
-            angle = at_rest + first * tau + 0.5 * sweep * tau**2
-            wave = sine.amplitude * np.sin(angle)
+            rate = 2.0 * np.pi * sine.frequency
+            wave = sine.amplitude * np.sin(at_rest + rate * tau)
             moved[0, :, sine.axis] += size * wave
-            moved[1, :, sine.axis] += slope * wave + size * sine.amplitude * (
-                first + sweep * tau) * np.cos(angle)
+            moved[1, :, sine.axis] += (
+                slope * wave + size * sine.amplitude * rate * np.cos(at_rest + rate * tau))
         return moved
 
     def state(t: Array) -> State:
@@ -155,8 +150,8 @@ def oscillation(
         return (start.position + value[:, :3], rate[:, :3], start.rotation @ lie.exp_so3(phi),
                 lie.apply(lie.dexp(-phi), rate[:, 3:]))
 
-    highest = max((max(sine.first, sine.last) for sine in sines), default=0.0)
-    return Motion(rest, duration, highest, state)
+    return Motion(
+        rest, duration, max((sine.frequency for sine in sines), default=0.0), state)
 
 
 class MoveAndHold(NamedTuple):
@@ -227,15 +222,14 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
     kind = settings.choice('kind', MOTION_KINDS)
     start = pose_from(settings.block('start'))
     rest = settings.number('rest_duration', 2.0, 's', minimum=0.0, maximum=MAX_DURATION)
-    if kind in ('multi_sine', 'chirp'):
-        motion = _oscillation(settings, kind, start, rest, phases)
+    if kind == 'multi_sine':
+        motion = _multi_sine(settings, start, rest, phases)
     else:  # waypoints have individual times, static poses common ones
         block = settings.block(kind)
         common = _times(block) if kind == 'static' else None
-        segments = tuple(MoveAndHold(pose_from(each), *(common or _times(each)))
-                         for each in block.blocks('poses'))
-        motion = waypoints(
-            start, rest, (1 + block.integer('repeat', 0, maximum=1000)) * segments)
+        motion = waypoints(start, rest, [
+            MoveAndHold(pose_from(each), *(common or _times(each)))
+            for each in block.blocks('poses')])
     if motion.duration > MAX_DURATION:
         raise BellowsError(
             f'The motion takes {motion.duration:g} s; at most {MAX_DURATION:g} s are possible. '
@@ -260,25 +254,22 @@ def pose_from(settings: Settings) -> Pose:
     return Pose(position, lie.rpy_rotation(rpy))
 
 
-def _oscillation(
-    settings: Settings, kind: str, start: Pose, rest: float, phases: Generator
-) -> Motion:
-    """Return a multi-sine or a chirp."""
+def _multi_sine(settings: Settings, start: Pose, rest: float, phases: Generator) -> Motion:
+    """Return sums of sines, and a hold."""
     duration = settings.number('duration', unit='s', above=rest, maximum=MAX_DURATION)
     ramp = settings.number('ramp_duration', 1.0, 's', above=0.0, maximum=MAX_DURATION)
-    block = settings.block(kind)
-    sines = _sines(block) if kind == 'multi_sine' else _sweeps(block)
+    block = settings.block('multi_sine')
+    sines = _sines(block)
     block.done()
     if not sines:
         raise BellowsError(
-            f"Setting '{kind}' moves nothing. Give it an amplitude on one axis at least, of "
+            "Setting 'multi_sine' moves nothing. Give it an amplitude on one axis at least, of "
             'position or of rotation.')
     phase, hold = phases.uniform(0.0, 2.0 * np.pi, len(sines)), (np.zeros(3), 0.0)
     if 'hold' in settings:
         block = settings.block('hold')
         hold = (block.vector('rotation', 3, unit='rad'), block.number(
             'duration', unit='s', above=0.0, maximum=duration - rest - ramp - HOLD_MOVE))
-        block.done()
     return oscillation(start, rest, ramp, duration, sines, phase, hold)
 
 
@@ -296,20 +287,9 @@ def _sines(settings: Settings) -> list[Sine]:
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "
                     f'long, got {len(amplitude)} and {len(frequency)} numbers.')
-            parts += [Sine(offset + index, a, f, f)
+            parts += [Sine(offset + index, a, f)
                       for a, f in zip(amplitude, frequency, strict=True)]
     return parts
-
-
-def _sweeps(settings: Settings) -> list[Sine]:
-    """Return the components of a chirp."""
-    amplitude = np.concatenate([
-        settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'),
-        settings.vector('rotation', 3, (0.0, 0.0, 0.0), unit='rad')])
-    ends = [
-        settings.number(name, unit='Hz', minimum=0.0, maximum=MAX_FREQUENCY)
-        for name in ('from', 'to')]
-    return [Sine(axis, size, *ends) for axis, size in enumerate(amplitude) if size]
 
 
 def _times(settings: Settings) -> tuple[float, float]:

@@ -12,7 +12,6 @@ Poses are then rotated into the recording's world.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-import re
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
@@ -274,10 +273,6 @@ def twist_sensor_from(settings: Settings) -> TwistSensor | None:
     return sensor if settings.flag('publish', True) else None
 
 
-TOPICS = {
-    'tool_pose': '/tool_arm/pose',
-    'tool_twist': '/tool_arm/twist',
-    'package_pose': '/package/pose'}
 START_NS = 1_700_000_000_000_000_000
 """First stamp of a recording of a motion or plan without a date."""
 
@@ -286,7 +281,7 @@ _PURPOSES = ('phases', 'tool plan', 'tool', 'tool twist', 'package plan', 'packa
 
 class Recipe(NamedTuple):
     """
-    Recipe of a recording: motion, tracking of both bodies, and storage.
+    Recipe of a recording from `START_NS` on: motion, tracking of both bodies, and storage.
 
     Parameters
     ----------
@@ -298,16 +293,10 @@ class Recipe(NamedTuple):
         Measurement of the tool's twist; None without a published twist.
     world : str
         One of `WORLDS`.
-    frame_id : str
-        Frame in every header.
-    topics : mapping
-        Topic of 'tool_pose', 'tool_twist' and 'package_pose'.
     storage, zstd : str, bool
         Storage, as `files.bags.write_bag` takes it.
     seed : int
         Seed of all random numbers.
-    start_ns : int
-        First stamp, ns.
     truth : bool
         Whether the true motion is written in addition to the recording.
 
@@ -318,13 +307,15 @@ class Recipe(NamedTuple):
     tool_twist: TwistSensor | None
     package: Sensor
     world: str
-    frame_id: str
-    topics: Mapping[str, str]
     storage: str
     zstd: bool
     seed: int
-    start_ns: int
     truth: bool
+
+    @property
+    def frame_id(self) -> str:
+        """Frame in every header."""
+        return 'world' if self.world == 'z_up' else 'motive'
 
 
 def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
@@ -357,28 +348,12 @@ def read_recipe(motion: Mapping[str, object], com: Array) -> Recipe:
         tool_twist=twist_sensor_from(tool.block('twist')),
         package=sensor_from(package, tracked + [*offset, 0.0]),
         world=world,
-        frame_id=settings.text('frame_id', 'world' if world == 'z_up' else 'motive'),
-        topics=_topics(settings.block('topics')),
         storage=settings.choice('storage', ('mcap', 'sqlite3'), 'mcap'),
         zstd=settings.choice('compression', ('none', 'zstd'), 'none') == 'zstd',
         seed=seed,
-        start_ns=settings.integer('start_time_ns', START_NS, minimum=10**9, maximum=2**62),
         truth=settings.flag('truth', False))
     settings.done()
     return recipe
-
-
-def _topics(settings: Settings) -> dict[str, str]:
-    """Return the topics, with a leading slash, all different."""
-    topics = {}
-    for role, default in TOPICS.items():
-        name = settings.text(role, default)
-        topics[role] = name if name.startswith('/') else f'/{name}'
-        if not re.fullmatch(r'(/[A-Za-z_][A-Za-z0-9_]*)+', topics[role]):
-            raise settings.refuse(role, 'a topic name such as ' + default, name)
-        if list(topics.values()).count(topics[role]) > 1:
-            raise settings.refuse(role, 'a topic no other stream has', name)
-    return topics
 
 
 def generator(seed: int, purpose: str) -> Generator:

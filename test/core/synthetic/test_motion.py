@@ -10,7 +10,6 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
-from scipy.signal import chirp
 from scipy.spatial.transform import Rotation
 
 START = {'position': [0.5, -0.2, 0.8], 'rpy': [0.3, -0.2, 1.1]}
@@ -28,9 +27,6 @@ MULTI_SINE = {
             'x': {'amplitude': [0.6, 0.1], 'frequency': [0.5, 2.0]},
             'y': {'amplitude': [0.4], 'frequency': [0.8]},
             'z': {'amplitude': [1.2], 'frequency': [0.3]}}}}
-CHIRP = {
-    'kind': 'chirp', 'duration': 6.0, 'rest_duration': 1.0, 'start': START,
-    'chirp': {'from': 0.5, 'to': 5.0, 'position': [0, 0.02, 0.01], 'rotation': [0.1, 0.3, 0.2]}}
 WAYPOINTS = {
     'kind': 'waypoints',
     'rest_duration': 1.0,
@@ -46,7 +42,7 @@ STATIC = {
     'static': {
         'move': 0.7, 'hold': 1.3, 'poses': [{'rpy': [0.4, 0.0, 0.0]}, {'rpy': [0.0, 0.4, 0.0]}]}}
 ALL = pytest.mark.parametrize(
-    'content', [MULTI_SINE, CHIRP, WAYPOINTS, STATIC], ids=lambda c: c['kind'])
+    'content', [MULTI_SINE, WAYPOINTS, STATIC], ids=lambda c: c['kind'])
 
 
 def motion(content, seed=0):
@@ -107,16 +103,6 @@ def test_waypoints_are_reached_and_held():
         Rotation.from_euler('xyz', poses[0]['rpy']).as_matrix(), np.diag([-1.0, -1.0, 1.0]),
         np.eye(3)]
     assert_allclose(rotation[[0, 2, 4]], expected, atol=1e-12)
-
-
-def test_a_chirp_sweeps_linearly():
-    moving = motion(CHIRP)
-    phase = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, 5)[0]  # of y, the first that moves
-    tau = np.linspace(1.0, 5.0, 1001)  # after the ramp
-    expected = 0.02 * chirp(tau, 0.5, 5.0, 5.0, phi=np.degrees(phase) - 90.0)
-    position = moving.state(tau + 1.0)[0] - moving.state(np.zeros(1))[0]
-    assert_allclose(position[:, 1], expected, atol=1e-12)
-    assert_allclose(position[:, 0], 0.0, atol=0.0)
 
 
 def test_a_multi_sine_has_the_lines_that_were_asked_for():
