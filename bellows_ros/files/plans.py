@@ -14,10 +14,17 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.parameters.conversion import tip_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import Arm, read_arm
-from bellows_ros.core.planning.points import JointPath, require_count
-from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
+from bellows_ros.core.planning.points import (
+    JointPath,
+    Joints,
+    plan_of,
+    plan_of_joints,
+    require_count,
+)
+from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, require_names, shown
 from bellows_ros.files import File, read_text
 from bellows_ros.files.messages import HEAD, LIP_FRAME, PACKAGE_FRAME
@@ -74,6 +81,25 @@ def plan_of_motion(
         twist = lie.apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
     return Plan(MULTI_DOF, stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
                 pose_rows(motion), twist)
+
+
+def motion_of(
+    plan: Plan, values: Values, arm: Arm | None, start_ns: int = 0
+) -> tuple[Trajectory, Joints | None]:
+    """
+    Return the motion of E along a plan of the tool, or of an arm with its joints.
+
+    Raises
+    ------
+    BellowsError
+        If the plan is impossible for an arm.
+
+    """
+    tip, stamps = tip_of(values), plan.times_ns + start_ns
+    if arm:
+        return plan_of_joints(arm.with_tip(tip), plan.names, stamps, *plan[5:])
+    tool = plan_of(stamps, plan.points, plan.rates, values.tool_twist.frame).trajectory()
+    return at_tip(tool, tip), None
 
 
 def plan_of_path(stamp_ns: int, frame_id: str, names: Sequence[str], path: JointPath) -> Plan:

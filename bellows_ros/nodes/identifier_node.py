@@ -1,8 +1,7 @@
 """The node that identifies a cup from recordings and shows the result."""
 
-from collections.abc import Callable, Mapping
-from threading import Thread
-import time
+from collections.abc import Mapping
+from threading import Event, Thread
 from typing import Any
 
 from rclpy.parameter_client import AsyncParameterClient
@@ -15,7 +14,6 @@ from ..report.build import write_page
 from ..workflows.identification import Identification, save
 from ..workflows.identify import identify
 
-POLL_PERIOD = 0.05
 PREDICTOR_TIMEOUT = 10.0
 """Longest wait for the predictor, s."""
 
@@ -105,23 +103,18 @@ class IdentifierNode(TableNode):
 
     def _set_on_predictor(self, cup: Mapping[str, table.Value]) -> None:
         """Set the cup on the predictor once available, and log the answer."""
-        name = str(self.values.predictor)
-        client = AsyncParameterClient(self, name)
-        deadline = time.monotonic() + PREDICTOR_TIMEOUT
-
-        def wait_for(done: Callable[[], bool], missing: str) -> None:
-            while not done():
-                if time.monotonic() > deadline:
-                    raise BellowsError(
-                        f"The cup was identified, but could not be set on '{name}': {missing} "
-                        f'({PREDICTOR_TIMEOUT:g} s waited). Start the predictor, check its name '
-                        'and namespace, or leave the parameter predictor empty.')
-                time.sleep(POLL_PERIOD)
-
-        wait_for(client.services_are_ready, 'there is no node of this name')
-        answer = client.set_parameters_atomically(
-            [ros_parameter(key, value) for key, value in cup.items()])
-        wait_for(answer.done, 'there was no answer')
+        name, answered = str(self.values.predictor), Event()
+        client, missing = AsyncParameterClient(self, name), 'there is no node of this name'
+        if client.wait_for_services(PREDICTOR_TIMEOUT):
+            answer = client.set_parameters_atomically(
+                [ros_parameter(key, value) for key, value in cup.items()])
+            answer.add_done_callback(lambda done: answered.set())
+            missing = '' if answered.wait(PREDICTOR_TIMEOUT) else 'there was no answer'
+        if missing:
+            raise BellowsError(
+                f"The cup was identified, but could not be set on '{name}': {missing} "
+                f'({PREDICTOR_TIMEOUT:g} s waited). Start the predictor, check its name and '
+                'namespace, or leave the parameter predictor empty.')
         result = answer.result().result
         if not result.successful:
             raise BellowsError(f"The node '{name}' refused the identified cup: {result.reason}")

@@ -73,13 +73,12 @@ class Pipeline(Predicting):
         self.node = node
         values = node.values
         self.compute, self._reported = health.window(), Counter[str]()
-        self._is_compiling = False
         if is_first := is_new():
             node.get_logger().info('Compiling (once a version): about a minute.')
         self._compile_predictor(values)
         self.compiler = compile_aside(compile_topics, values) if is_first else None
-        self._compiled: dict[int, Future[None] | None] = {
-            len(cup_of(values).as_tuple): None}  # more numbers if it relaxes
+        self._kind = len(cup_of(values).as_tuple)  # more numbers if it relaxes
+        self._compiling: Future[None] | None = None
         self.live = LivePredictor.from_parameters(node.values)
         self.outputs = Outputs(self)
         self._publish_secondary_guarded = node.guarded(self._publish_secondary)
@@ -91,7 +90,7 @@ class Pipeline(Predicting):
             self.pose_in = SensorInput(node, kind, 'tool_arm/pose', self._on_pose)
         self._read_twist, self._has_odometry_twists = reader(TwistStamped), False
         self.twist_in = None if values.tool_pose.type == 'odometry' else SensorInput(
-            node, TwistStamped, 'tool_arm/twist', self._on_twist, self._on_twist_publishers)
+            node, TwistStamped, 'tool_arm/twist', self._on_twist)
         self.attachment = Attachment(self)
         self.planning = Planning(self)
         node.create_subscription(
@@ -179,12 +178,6 @@ class Pipeline(Predicting):
 
     # ----------------------------------------------------------------- events
 
-    def _on_twist_publishers(self, count: int) -> None:
-        """Let poses wait for their twists while twists have a publisher."""
-        self.live.expect_twists(count > 0)
-        if self.node.is_active and not count:
-            self.publish(self.live.flush)
-
     def switch_valve(self, on: bool) -> None:
         """Process a message of the valve, which has no stamp."""
         stamp_ns, newest_ns = self.node.get_clock().now().nanoseconds, self.live.newest_ns
@@ -215,7 +208,7 @@ class Pipeline(Predicting):
 
     def _tick(self) -> None:
         """Predict for waiting poses when no more messages arrive, and bridge a gap."""
-        if self._is_compiling:
+        if self._compiling:
             self.use_values()
         if not self.node.is_active:
             return
@@ -241,15 +234,14 @@ class Pipeline(Predicting):
 
     def use_values(self) -> None:
         """Use the node's parameters; the package keeps its motion."""
-        values = self.node.values
-        kind = len(cup_of(values).as_tuple)
-        if kind not in self._compiled:
+        values, before = self.node.values, self._kind
+        self._kind = len(cup_of(values).as_tuple)
+        if self._kind != before:
             self.node.get_logger().info(
                 'Compiling for the new values; the ones before are used until then.')
-            self._compiled[kind] = self.node.aside(self._compile, values)
-        work = self._compiled[kind]
-        self._is_compiling = work is not None and not work.done()
-        if not self._is_compiling:
+            self._compiling = self.node.aside(self._compile, values)
+        if self._compiling is None or self._compiling.done():
+            self._compiling = None
             self.live.use(values)
 
     def _compile_predictor(self, values: Values) -> ModelTuple:

@@ -1,6 +1,5 @@
 """Plans of the tool or of joints: the package along them, and the plans without its swing."""
 
-from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
@@ -20,11 +19,11 @@ from ..core.geometry.lie import quaternion_to_rotation
 from ..core.model.grip import safety_finding
 from ..core.model.validity_range import flip_finding
 from ..core.parameters.conversion import parameter_envelope, tip_of
-from ..core.planning.arm import Arm, read_arm
+from ..core.planning.arm import read_arm
 from ..core.planning.plan_prediction import NO_ABORT, PlanPrediction, PlanSimulation
-from ..core.planning.points import joint_excess, Joints, plan_of, plan_of_joints
+from ..core.planning.points import joint_excess, Joints, plan_of
 from ..core.planning.steering import steer
-from ..core.signals.trajectory import at_tip, from_tip, same_frame, Trajectory
+from ..core.signals.trajectory import from_tip, same_frame, Trajectory
 from ..errors import BellowsError
 from ..files import messages, plans
 from ..files.plans import Plan
@@ -39,10 +38,6 @@ ANGLES = ('peak_bending', 'swing_left')
 
 MAX_STEERED_DURATION = 60.0
 """Longest motion that is steered live, s; longer ones would delay the next answer."""
-
-Read = Callable[[bytes], tuple[Plan, Trajectory, Joints | None]]
-"""Reader of a message, of the bytes, as rclpy would decode them in the thread of the executor: the
-plan, its motion of E, and the joints of a plan of joints."""
 
 
 class Planning:
@@ -68,11 +63,11 @@ class Planning:
         self._stop, self._answering = np.zeros(1, np.bool_), Future[None]()
         self._outcome: PlanPrediction | Status | None = None
         sys.setswitchinterval(5e-5)  # s; limits the wait of the live prediction
-        read: Read
-        for kind, topic, read in ((MultiDOFJointTrajectory, 'tool_arm/plan', self._of_tool),
-                                  (JointTrajectory, 'tool_arm/plan_joints', self._of_joints)):
-            node.create_subscription(
-                kind, topic, partial(self._on_plan, read), 10,
+        for kind, topic, name in (
+                (MultiDOFJointTrajectory, 'tool_arm/plan', plans.MULTI_DOF),
+                (JointTrajectory, 'tool_arm/plan_joints', plans.JOINTS)):
+            node.create_subscription(  # of bytes, which are decoded in the thread of the answer
+                kind, topic, partial(self._on_plan, name), 10,
                 on_publishers=self._warming.on_peers, raw=True)
         node.create_subscription(String, 'robot_description', self._on_description, LATCHED)
 
@@ -82,13 +77,13 @@ class Planning:
         self._answering.cancel()
         self._stop = np.zeros(1, np.bool_)  # the one before belongs to the work that it stops
 
-    def _on_plan(self, read: Read, data: bytes) -> None:
+    def _on_plan(self, kind: str, data: bytes) -> None:
         """Answer a plan, instead of the one before, in a thread."""
         self.forget()
         if not self._warming.is_done:
             self._pipeline.node.get_logger().info(
                 'A plan waits until its answer is compiled (once a version, up to a minute).')
-        self._answering = self._pipeline.node.aside(self._answer, read, data, self._stop)
+        self._answering = self._pipeline.node.aside(self._answer, kind, data, self._stop)
 
     def _warm_up(self) -> None:
         """Compile the answers with an example, unless the cup cannot hold the package."""
@@ -101,10 +96,10 @@ class Planning:
         """Store the arm, which is read when a plan needs it."""
         self._urdf = message.data
 
-    def _answer(self, read: Read, data: bytes, stop: Mask) -> None:
+    def _answer(self, kind: str, data: bytes, stop: Mask) -> None:
         """Publish the package along a plan and, for its subscribers, the plan without swing."""
         try:
-            plan, tool, joints = read(data)
+            plan, tool, joints = self._read(kind, data)
             prediction = self._predict(tool, TAIL, stop)
             self._outcome = prediction
             self._publish(plan, tool, prediction)
@@ -160,40 +155,24 @@ class Planning:
             number(math.degrees(value) if name in ANGLES else value)
             for name, value in outcome.summary().items()})
 
-    # ---------------------------------------------------------------- reading
-
-    def _of_tool(self, data: bytes) -> tuple[Plan, Trajectory, None]:
-        """Return a plan of the tool, and its motion of E."""
-        values = self._pipeline.live.values
-        message, = plans.plans_of(messages.decoded(data, plans.MULTI_DOF))
-        self._require_frame(message.frame_id)
-        plan = plan_of(message.times_ns, message.points, message.rates,
-                       values.tool_twist.frame)
-        motion = plan if isinstance(plan, Trajectory) else plan.trajectory()
-        tip = tip_of(values)
-        return message, motion if tip is None else at_tip(motion, tip), None
-
-    def _of_joints(self, data: bytes) -> tuple[Plan, Trajectory, Joints]:
-        """Return a plan of joints, the motion of E by it, and its joints."""
-        values = self._pipeline.live.values
-        if not (self._urdf and values.tool_link):
-            what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
+    def _read(self, kind: str, data: bytes) -> tuple[Plan, Trajectory, Joints | None]:
+        """Return a plan of the tool or of joints, the motion of E by it, and its joints."""
+        live, arm = self._pipeline.live, None
+        if kind == plans.JOINTS:
+            if not (self._urdf and live.values.tool_link):
+                what = 'tool_link is not set' if self._urdf else 'there is no robot_description'
+                raise BellowsError(
+                    f'It is one of joints, but {what}; expected both. Publish the URDF of the '
+                    'arm, and set tool_link to the link at the tool tip.')
+            arm = read_arm(self._urdf, live.values.tool_link)
+        plan, = plans.plans_of(messages.decoded(data, kind))
+        frame_id = arm.root if arm else plan.frame_id
+        plans.require_frame(frame_id, live.values)
+        if not same_frame(live.frame_id, frame_id):
             raise BellowsError(
-                f'It is one of joints, but {what}; expected both. Publish the URDF of the arm, '
-                'and set tool_link to the link at the tool tip.')
-        arm: Arm = read_arm(self._urdf, values.tool_link).with_tip(tip_of(values))
-        self._require_frame(arm.root)
-        plan, = plans.plans_of(messages.decoded(data, plans.JOINTS))
-        return plan, *plan_of_joints(arm, plan.names, plan.times_ns, *plan[5:])
-
-    def _require_frame(self, frame_id: str) -> None:
-        """Raise for a plan in another frame than the tool's poses."""
-        plans.require_frame(frame_id, self._pipeline.live.values)
-        frame = self._pipeline.live.frame_id
-        if not same_frame(frame, frame_id):
-            raise BellowsError(
-                f"The plan is in frame '{frame_id}'; expected '{frame}', the frame of "
+                f"The plan is in frame '{frame_id}'; expected '{live.frame_id}', the frame of "
                 "the tool's poses. Transform the plan.")
+        return plan, *plans.motion_of(plan, live.values, arm)
 
     # --------------------------------------------------------------- steering
 

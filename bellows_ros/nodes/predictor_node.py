@@ -87,31 +87,27 @@ class PredictorNode(ManagedNode):
         return str(self._state_machine.current_state[1])
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Configure, or log the reason for a failure and clean up."""
+        """
+        Make the pipeline: model, inputs, outputs; or log the reason for a failure, and clean up.
+
+        The garbage collector ignores all objects made until then.
+        """
         self._before = {*self.publishers, *self.subscriptions, *self.services, *self.timers}
+        gc.unfreeze()
         try:
-            self.configure()
+            self.create_trigger('~/reset', self.reset,
+                                'Starts from static equilibrium at the next tool pose.')
+            self.pipeline = Pipeline(self)
         except Exception as error:  # noqa: BLE001 (rclpy would swallow whatever it is)
             kind = '' if isinstance(error, BellowsError) else f'{type(error).__name__}: '
             self._failure = f'{kind}{shown(str(error), 1000)}'
             self.get_logger().error(f'Cannot be configured: {self._failure}')
             self.release_resources()
             return TransitionCallbackReturn.FAILURE
-        return super().on_configure(state)
-
-    def configure(self) -> None:
-        """
-        Make the pipeline: model, inputs and outputs.
-
-        The garbage collector ignores all objects made until then.
-        """
-        gc.unfreeze()
-        self.create_trigger('~/reset', self.reset,
-                            'Starts from static equilibrium at the next tool pose.')
-        self.pipeline = Pipeline(self)
         self._log_model(self.pipeline)
         gc.collect()
         gc.freeze()
+        return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let publishers publish and callbacks work; start from rest at the next tool pose."""
@@ -277,23 +273,21 @@ class Diagnostics:
         """Return all lines."""
         state: str = self._node.lifecycle_state
         pipeline: Pipeline | None = self._node.pipeline
-        if pipeline is None:
-            return [health.Status('prediction', health.prediction_finding(
-                state, 'none', {}, True, True, False), {'lifecycle': state})]
+        if pipeline is None or state != 'active':
+            return [health.Status('prediction', health.fact(
+                'state', Level.OK, state=f'{state.capitalize()}: nothing is published'), {})]
         live, new = pipeline.live, pipeline.new_counts()
         counts = {**live.counts, **{f'failed: {k}': n for k, n in self._node.failures.items()}}
         phase = live.phase(time.monotonic_ns())
         line = health.Status('prediction', health.prediction_finding(
-            state, phase, {reason: new[reason] for reason in live.restarts},
+            phase, {reason: new[reason] for reason in live.restarts},
             live.motion.verdict != 'does_not_fit', live.package.has_covariance,
             live.is_above), {
-                'lifecycle': state, 'phase': phase,
+                'phase': phase,
                 **health.quantiles(
                     'compute time {} (us)', health.taken(pipeline.compute), 1e6),
                 'twists against poses': live.motion.verdict,
                 **{name: str(count) for name, count in counts.items()}})
-        if state != 'active':
-            return [line]
         of_twists, twist_in = live.pairing.refused, pipeline.twist_in
         poses = pipeline.pose_in.report(live.screen.refused)
         twists = twist_in.report(of_twists) if twist_in else poses._replace(

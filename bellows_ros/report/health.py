@@ -196,7 +196,7 @@ def vacuum_status(
 
 
 def prediction_finding(
-    state: str, phase: str, restarts: Mapping[str, int], twists_fit: bool, has_covariance: bool,
+    phase: str, restarts: Mapping[str, int], twists_fit: bool, has_covariance: bool,
     above: bool,
 ) -> Finding:
     """
@@ -204,8 +204,6 @@ def prediction_finding(
 
     Parameters
     ----------
-    state : str
-        Lifecycle state, 'active' or another one.
     phase : str
         Result of `LivePredictor.phase`.
     restarts : mapping of str to int
@@ -215,8 +213,6 @@ def prediction_finding(
         tool points down, with the package above it.
 
     """
-    if state != 'active':
-        return fact('state', Level.OK, state=f'{state.capitalize()}: nothing is published')
     for code, applies, level in (
             ('no_equilibrium', restarts.get('no_equilibrium'), Level.ERROR),
             ('failed', restarts.get('failure'), Level.ERROR),

@@ -634,13 +634,9 @@ def _source_of_plan(
     read: plans.Plan, values: Values, urdf: str, recording: Any,
 ) -> Source:
     """Return a plan of points of the tool or of an arm's joints."""
-    stamps = read.times_ns + (read.stamp_ns or START_NS)
-    if read.kind == plans.JOINTS:
-        arm = plans.arm_of(urdf, values.tool_link, recording).with_tip(conversion.tip_of(values))
-        tool, joints = points.plan_of_joints(arm, read.names, stamps, *read[5:])
-        return Source(tool, arm.root, values, joints=joints)
-    tool = plan_of(stamps, read.points, read.rates, values.tool_twist.frame).trajectory()
-    return Source(at_tip(tool, conversion.tip_of(values)), read.frame_id, values)
+    arm = plans.arm_of(urdf, values.tool_link, recording) if read.kind == plans.JOINTS else None
+    tool, joints = plans.motion_of(read, values, arm, read.stamp_ns or START_NS)
+    return Source(tool, arm.root if arm else read.frame_id, values, joints=joints)
 
 
 def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:

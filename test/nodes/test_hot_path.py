@@ -109,7 +109,7 @@ def held():
         [tracemalloc.Filter(True, os.path.dirname(bellows_ros.__file__) + '/*')])
     return sum(trace.size for trace in taken.traces)
 
-partner.wait(lambda: predictor.pipeline.live.pairing.expect and all(
+partner.wait(lambda: all(
     topic.subscribed and topic.is_ready for topic in topics_of(predictor)))
 predictor.diagnostics.report()
 modules, compiled = set(sys.modules), signatures()

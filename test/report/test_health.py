@@ -38,7 +38,7 @@ def of_vacuum(held, latched, **changes):
 
 def of_prediction(**changes):
     return health.Status('x', health.prediction_finding(**{
-        'state': 'active', 'phase': 'predicting', 'restarts': {'gap': 0}, 'twists_fit': True,
+        'phase': 'predicting', 'restarts': {'gap': 0}, 'twists_fit': True,
         'has_covariance': True, 'above': False, **changes}), {})
 
 
@@ -69,7 +69,6 @@ NO_LINK = fact('publishers', topic='/topic', names='a, b')
     (of_vacuum(False, True, messages=0, silent=math.inf), Level.ERROR, '/topic'),
     (of_vacuum(False, True, messages=1, refused={'not_absolute': 1}), Level.ERROR, 'absolute'),
     (of_vacuum(True, True, mismatch=NO_LINK), Level.WARN, 'several publishers'),
-    (of_prediction(state='inactive'), Level.OK, 'Inactive'),
     (of_prediction(phase='coasting'), Level.WARN, 'Coasting'),
     (of_prediction(restarts={'gap': 2}), Level.WARN, '2 x'),
     (of_prediction(restarts={'no_equilibrium': 1}), Level.ERROR, 'package.mass'),
