@@ -286,7 +286,7 @@ Refused = dict[str, tuple[int, ...]]
 
 REASONS: Mapping[str, str] = tomllib.loads(
     Path(__file__).with_name('refusals.toml').read_text())
-"""Reasons for rejecting messages, in words."""
+"""Reasons for rejecting a message or for a restart, in words."""
 
 
 def describe(refused: Mapping[str, tuple[int, ...]]) -> str:

@@ -33,8 +33,9 @@ NODES = {
 
 
 def interface(name: str) -> dict[str, Any]:
-    """Return purpose, examples and topics of a node, from the TOML file of its name."""
-    return tomllib.loads(Path(__file__).with_name(f'{name}.toml').read_text())
+    """Return purpose, examples and topics of a node."""
+    content = tomllib.loads(Path(__file__).with_name('interface.toml').read_text())
+    return dict(content[name])
 
 
 def help_text(name: str) -> str:

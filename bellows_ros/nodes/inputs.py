@@ -14,7 +14,7 @@ import time
 from typing import Any
 
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.files.messages import DETECTIONS, LAYOUTS, LIP_FRAME, TRANSFORMS
+from bellows_ros.files.messages import DETECTIONS, LAYOUTS, LIP_FRAME, REASONS, TRANSFORMS
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -402,7 +402,7 @@ class PackageInput:
         fault = self._live.wrench_fault
         return status._replace(finding=health.fact(
             'wrench', Level.ERROR, self._wrench_in.topic,
-            reason=health.REASONS[f'wrench_{fault.name}'].format(
+            reason=REASONS[f'wrench_{fault.name}'].format(
                 rotation=fault.rotation))) if fault else status
 
     def status(self) -> health.Status | None:

@@ -9,8 +9,6 @@ OK: works as intended. WARN: works, but needs attention. ERROR: does not work.
 from collections import deque
 from collections.abc import Mapping
 import math
-from pathlib import Path
-import tomllib
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -18,7 +16,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.live.vacuum import Load
 from bellows_ros.core.model.grip import safety_finding
 from bellows_ros.core.model.validity_range import FLAT_MOMENT_BENDING
-from bellows_ros.files import messages
+from bellows_ros.files.messages import REASONS
 from bellows_ros.report import findings
 import numpy as np
 
@@ -27,10 +25,6 @@ WINDOW_LENGTH = 2048
 
 MAX_AGE = 1.0
 """Largest absolute age of a message on the node's clock, s; larger ages mean another clock."""
-
-REASONS: Mapping[str, str] = {**messages.REASONS, **tomllib.loads(
-    Path(__file__).with_name('reasons.toml').read_text(encoding='utf-8'))}
-"""Reasons for rejecting a message or for a restart, in words."""
 
 
 def window() -> deque[float]:

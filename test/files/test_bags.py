@@ -8,7 +8,6 @@ from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import as_messages, read_streams, STORAGES, topics, write_bag
-from bellows_ros.files.messages import REASONS
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -120,7 +119,8 @@ def faulty(index, reason):
 
 
 @pytest.mark.parametrize('reason', [
-    reason for reason in REASONS if not reason.startswith('tag_')])
+    'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
+    'future_stamp', 'frame_id', 'copy', 'malformed', 'out_of_range'])
 def test_messages_that_cannot_be_used_are_counted_by_reason(tmp_path, reason):
     bad = (1, 7, 50, 99)
     good = made.poses(100)
