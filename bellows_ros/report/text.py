@@ -9,7 +9,7 @@ from bellows_ros.core.identification.result import Fit, UNITS
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import shown
-from bellows_ros.workflows.recordings import offset_finding
+from bellows_ros.workflows.recordings import offset_findings
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -223,7 +223,7 @@ def print_replay(result: 'Replay', out: Any) -> None:
         text_of(validation.verdict(result.largest_nrmse)),
         f'{validation.scores.samples} samples compared.',
         *([text_of(result.margin.finding)] if result.margin else []),
-        *map(text_of, offset_finding(result.bag, result.time_offset)))
+        *map(text_of, offset_findings([(result.bag, result.recording.report.time_offset)])))
     if result.live:
         counts = ', '.join(f'{count} {name}' for name, count in result.live.counts.items())
         out.paragraph(

@@ -32,7 +32,7 @@ from bellows_ros.workflows.recordings import (
     estimate_finding,
     Failed,
     is_measured,
-    offset_finding,
+    offset_findings,
     values_of_each,
 )
 from bellows_ros.workflows.static import StaticResult
@@ -128,12 +128,6 @@ class Identification(CommandResult):
             'cup.stretch': self.fit.stretch})
 
     @cached_property
-    def _unknown(self) -> list[str]:
-        """Names of the numbers of K and P that are not identifiable."""
-        return [label for label, variance in zip(
-            self.fit.labels, np.diag(self.fit.covariance), strict=True) if np.isinf(variance)]
-
-    @cached_property
     def _matrices(self) -> tuple[Array, Array]:
         """K and P, with the values of the given cup for numbers that are not identifiable."""
         structure, given = structure_named(self.fit.structure), conversion.one_cup_of(self.values)
@@ -162,16 +156,12 @@ class Identification(CommandResult):
         errors: dict[str, Any] = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
-        if np.isfinite(std := self._length_std):
-            errors['cup.length_std'] = min(std, 1.0)
+        estimated = self.static and self.static.length
+        _, std, _ = self.found.get('cup.length', (
+            0.0, estimated.total_std if estimated else math.inf, ''))
+        if np.isfinite(std):
+            errors['cup.length_std'] = min(float(np.squeeze(std)), 1.0)
         return {**values, **errors, **self.envelope.parameters()}
-
-    @property
-    def _length_std(self) -> float:
-        """Standard error of an estimated cup length, m; nan where the length was given."""
-        if 'cup.length' in self.found:
-            return float(self.found['cup.length'][1])
-        return self.static.length.total_std if self.static and self.static.length else np.nan
 
     def cell_parameters(self) -> dict[str, Any]:
         """Return the parameters of the cell file: the given cell and package, and estimates."""
@@ -292,18 +282,19 @@ class Identification(CommandResult):
     def notes(self) -> tuple[str, ...]:
         """Sentences on the cup in addition to K and P."""
         return (
-            *map(text_of, self._findings()), *(text for each in self.validations for text in (
-                *map(text_of, offset_finding(each.bag, each.time_offset)),
-                f'{each.bag}: {text_of(each.validation.verdict())}')))
+            *map(text_of, self.findings),
+            *(f'{each.bag}: {text_of(each.validation.verdict())}' for each in self.validations))
 
-    def _findings(self) -> Iterator[Finding]:
-        """Yield findings on clocks, estimates and standstills."""
-        yield from self._clocks()
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on clocks, estimates and standstills."""
         found = [*self.asked.items()]
         if self.static and (length := self.static.length):
             found.append(('cup.length', (length.length, length.total_std, 'm by loads alone')))
-        for name, each in found:
-            yield estimate_finding(name, *each)
+        return (*offset_findings((
+            *zip(self.bags, self.delays, strict=False),
+            *((each.bag, each.recording.report.time_offset) for each in self.validations))),
+            *(estimate_finding(name, *each) for name, each in found))
 
     @property
     def asked(self) -> Mapping[str, tuple[Any, Any, str]]:
@@ -321,11 +312,6 @@ class Identification(CommandResult):
         return tuple(TimeOffset(offset.value + value, std) for offset, value, std in zip(before, *(
             each['time_offset'][:, 0].tolist() for each in (
                 self.fit.nuisances, self.fit.nuisances_std)), strict=True))
-
-    def _clocks(self) -> Iterator[Finding]:
-        """Yield findings on the clocks of the recordings."""
-        for bag, offset in zip(self.bags, self.delays, strict=False):
-            yield from offset_finding(bag, offset)
 
     def _fit_warnings(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless detected faults cause them."""
@@ -348,7 +334,7 @@ class Identification(CommandResult):
             *self.assumed,
             *self._fit_warnings(),
             *(self.static.warnings if self.static else ()),
-            *(text for part in self.parts for text in part.report['warnings']),
+            *(text_of(own) for part in self.parts for own in part.remarks),
             *(f'{each.bag}: {text}' for each in self.validations for text in each.warnings))
 
     def as_json(self) -> dict[str, Any]:
@@ -360,8 +346,7 @@ class Identification(CommandResult):
             'time_offsets': [offset.value for offset in self.delays],
             'time_offsets_std': [offset.std for offset in self.delays],
             'warnings': self.warnings,
-            'findings': [*map(entry, self._findings())],
-            'notes': self.notes,
+            'findings': [*map(entry, self.findings)],
             'cup_length': self.cup_length,
             'found_parameters': {
                 name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}
@@ -429,8 +414,9 @@ class Identification(CommandResult):
             f'Identified by bellows_ros {__version__} from {", ".join(self.bags)}',
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
-            *map(text_of, self._clocks()),
-            *(f'Not identifiable, as given: {label}.' for label in self._unknown),
+            *map(text_of, self.findings),
+            *(f'Not identifiable, as given: {label}.' for label, variance in zip(
+                fit.labels, np.diag(fit.covariance), strict=True) if np.isinf(variance)),
             *(f'REFUSED, but written all the same: {reason}' for reason in self.refusals)]
 
 

@@ -169,15 +169,14 @@ def prepare_streams(
     streams: Mapping[str, Any], settings: PrepareSettings, values: Values, accepted: str = '',
 ) -> Recording:
     """
-    Return prepared streams, in one world and on one clock, with sentences on their remarks.
+    Return prepared streams, in one world and on one clock.
 
     Streams are poses of tool and package, and twists of the tool, if any, by the names of their
     topics.
     """
     recording = _prepared(streams, settings, values, accepted)
-    return _with_sentences(recording, (
-        each for each in recording.report.remarks if each.code != 'low_rate'
-        or values.fit.method == 'least_squares'))
+    return recording if values.fit.method == 'least_squares' else _with_remarks(recording, [
+        each for each in recording.report.remarks if each.code != 'low_rate'])
 
 
 def checked(recording: Recording) -> Recording:
@@ -190,16 +189,14 @@ def checked(recording: Recording) -> Recording:
         If a fault prevents a replay and any fit.
 
     """
-    found = recording_remarks(recording)
-    require_none((*recording.report.remarks, *found), 'replay')
-    return _with_sentences(replace(recording, report=replace(
-        recording.report, remarks=(*recording.report.remarks, *found))), found)
+    remarks = (*recording.report.remarks, *recording_remarks(recording))
+    require_none(remarks, 'replay')
+    return _with_remarks(recording, remarks)
 
 
-def _with_sentences(recording: Recording, remarks: Iterable[Finding]) -> Recording:
-    """Return a recording with sentences on remarks as warnings."""
-    return replace(recording, report=replace(recording.report, warnings=(
-        *recording.report.warnings, *map(text, remarks))))
+def _with_remarks(recording: Recording, remarks: Iterable[Finding]) -> Recording:
+    """Return a recording with other remarks in its report."""
+    return replace(recording, report=replace(recording.report, remarks=tuple(remarks)))
 
 
 def require_none(remarks: Iterable[Finding], use: str, more: str = '') -> None:
@@ -251,8 +248,7 @@ def _prepared(
             package = frames.in_tool_world(package, pose, tool.frame_id)
             settings = settings.in_world(pose)
         recording = prepare(tool, package, settings, twist, marker_alignment(values))
-    return replace(recording, report=replace(
-        recording.report, remarks=(*recording.report.remarks, *found)))
+    return _with_remarks(recording, (*recording.report.remarks, *found))
 
 
 def is_measured(values: Values) -> bool:
@@ -319,11 +315,11 @@ def estimate_finding(topic: str, value: Any, std: Any, unit: str = '1') -> Findi
         'unit': f' {unit}' * (unit != '1')}, topic)
 
 
-def offset_finding(bag: object, offset: TimeOffset | None) -> list[Finding]:
-    """Return the finding on the corrected time offset of a recording, unless unknown."""
+def offset_findings(offsets: Iterable[tuple[str, TimeOffset | None]]) -> list[Finding]:
+    """Return findings on the corrected time offsets of recordings by name, unless unknown."""
     return [estimate_finding(
         f'{bag}: the delay of stamps of the tool against those of the package', offset.value,
-        offset.std, 's')] if offset and math.isfinite(offset.std) else []
+        offset.std, 's') for bag, offset in offsets if offset and math.isfinite(offset.std)]
 
 
 def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str]]:

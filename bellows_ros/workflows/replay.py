@@ -35,7 +35,6 @@ from bellows_ros.core.recording.recording import (
     LOW_RATE_HZ,
     Recording,
     require_one_frame,
-    TimeOffset,
 )
 from bellows_ros.core.signals import residuals
 from bellows_ros.core.signals.resampling import resample
@@ -204,12 +203,7 @@ class Replay(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences on the findings and on the recording."""
-        return (*warnings(self.findings), *self.recording.report.warnings)
-
-    @property
-    def time_offset(self) -> TimeOffset | None:
-        """The offset subtracted from the tool's stamps; None if not estimated."""
-        return self.recording.report.time_offset
+        return (*warnings(self.findings), *map(text, self.recording.report.remarks))
 
     @cached_property
     def margin(self) -> Margin | None:
@@ -234,7 +228,7 @@ class Replay(CommandResult):
             'above_limit': validation.failing(self.largest_nrmse),
             'start': validation.runs[0].start,
             'margin': self.margin,
-            'time_offset': self.time_offset,
+            'time_offset': self.recording.report.time_offset,
             'seed': DRAW_SEED,
             'live': self.live,
             'observed': self.observed,

@@ -62,7 +62,8 @@ class StaticResult(NamedTuple):
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user."""
         return (*map(text, self.findings), *(
-            f'{each.name}: {words}' for each in self.recordings for words in each.report.warnings))
+            f'{each.name}: {text(own)}' for each in self.recordings
+            for own in each.report.remarks))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of a JSON file, in SI units."""

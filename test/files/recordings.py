@@ -2,6 +2,8 @@
 
 import json
 
+from bellows_ros.core.geometry.lie import rotation_to_quaternion
+from bellows_ros.files.bags import as_messages
 import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
@@ -106,6 +108,16 @@ def write(path, topics, storage='mcap', compression='NONE', version=9):
             for log_time_ns, data in messages:
                 writer.write(connection, log_time_ns, data)
     return path
+
+
+def again(stream, topic='', late_ns=0):
+    """Return a stream that was read, of poses or twists, to record it again."""
+    stamps_ns = stream.stamps_ns + late_ns
+    if hasattr(stream, 'linear'):
+        return as_messages(topic or stream.name, TWIST, stamps_ns, np.hstack(
+            [stream.linear, stream.angular]), stream.frame_id)
+    return as_messages(topic or stream.name, POSE, stamps_ns, np.hstack(
+        [stream.position, rotation_to_quaternion(stream.rotation)]), stream.frame_id)
 
 
 def poses(count, values=None, frame_id='world'):

@@ -3,10 +3,9 @@
 from dataclasses import replace
 import json
 
-from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import as_messages, Encoded, read_streams, write_bag
+from bellows_ros.files.bags import Encoded, read_streams, write_bag
 from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
 from bellows_ros.files.results import format_json
@@ -21,7 +20,7 @@ from numpy.testing import assert_allclose
 import pytest
 from ruamel.yaml import YAML
 
-from ..files.recordings import POSE, TWIST
+from ..files.recordings import again
 
 CLEAN = {
     'topics.tool_pose': '/tool_arm/pose', 'topics.tool_twist': '/tool_arm/twist',
@@ -193,16 +192,10 @@ def test_only_the_holds_of_a_recording_of_work_are_fitted(root, tmp_path, method
     last = np.maximum.accumulate(np.where(
         held(package.stamps_ns), np.arange(len(package.stamps_ns)), 0))  # lies where it was left
     stamps_ns = np.arange(first, package.stamps_ns[-1], 50_000_000)
-    write_bag(tmp_path / 'work', [
-        *(as_messages(CLEAN[f'topics.{role}'], POSE, stamps, np.hstack([
-            place, rotation_to_quaternion(turn)])) for role, stamps, place, turn in (
-                ('tool_pose', tool.stamps_ns, tool.position, tool.rotation),
-                ('package_pose', package.stamps_ns, package.position[last],
-                 package.rotation[last]))),
-        as_messages(CLEAN['topics.tool_twist'], TWIST, twist.stamps_ns,
-                    np.hstack([twist.linear, twist.angular])),
-        Encoded('/vacuum/held', BOOL, stamps_ns, [
-            HEAD + bytes([each]) for each in held(stamps_ns).tolist()])])
+    lying = replace(package, position=package.position[last], rotation=package.rotation[last])
+    vacuum = Encoded('/vacuum/held', BOOL, stamps_ns, [
+        HEAD + bytes([each]) for each in held(stamps_ns).tolist()])
+    write_bag(tmp_path / 'work', [*map(again, (tool, lying, twist)), vacuum])
     given = {**read_parameters(root / 'bags' / 'package.yaml'), 'fit.method': method,
              'bags': [str(tmp_path / 'work')], 'vacuum.signal': 'bool'}
     fit = identify(given).fit

@@ -1,18 +1,18 @@
 """A recording with a camera: what it adds to the prediction."""
 
+from dataclasses import replace
+
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError
-from bellows_ros.files.bags import as_messages, Encoded, read_streams, write_bag
+from bellows_ros.files.bags import Encoded, read_streams, write_bag
 from bellows_ros.files.messages import BOOL
 from bellows_ros.report.findings import text
 from bellows_ros.workflows.replay import replay
 import numpy as np
-from numpy.testing import assert_allclose
 import pytest
 
-from .test_identify import CLEAN, LAB
-from ..files.recordings import header, POSE, serialized, TWIST
+from ..files.recordings import again, header, serialized
 
 NOISE = 2e-3, 1e-2
 CALIBRATED = {'measured.camera_std': (0.3e-3, 1e-3), 'measured.marker_std': (0.3e-3, 1e-3)}
@@ -22,34 +22,20 @@ CAMERA = 'camera/box'
 SEEN = {'tool': ROLES['tool'], 'package': ROLES['package'], 'camera': CAMERA}
 
 
-def poses(role, stamps_ns, position, rotation, frame_id='world'):
-    """Give poses to record."""
-    return as_messages('/' + SEEN[role], POSE, stamps_ns,
-                       np.hstack([position, lie.rotation_to_quaternion(rotation)]), frame_id)
-
-
-def of(streams, *roles):
-    """Give the poses of streams to record."""
-    return [poses(role, own.stamps_ns, own.position, own.rotation)
-            for role, own in ((role, streams[role]) for role in roles)]
-
-
 @pytest.fixture(scope='module')
 def filmed(root, known, true_cup, tmp_path_factory):
     """Give the shipped validation with a camera of 30 Hz, and its parameters."""
     streams = read_streams(root / 'bags' / 'validation', ROLES)
-    twist, package = streams['twist'], streams['package']
+    package = streams['package']
     rng = np.random.default_rng(1)
     which = np.arange(12, len(package.stamps_ns), 12)
     position = package.position[which] + rng.normal(size=(len(which), 3)) * NOISE[0]
     turns = lie.exp_so3(rng.normal(size=(len(which), 3)) * NOISE[1])
     position[20::20] += 0.2  # wild ones
     folder = tmp_path_factory.mktemp('filmed') / 'bag'
-    write_bag(folder, [
-        *of(streams, 'tool', 'package'),
-        as_messages('/' + ROLES['twist'], TWIST, twist.stamps_ns,
-                    np.hstack([twist.linear, twist.angular])),
-        poses('camera', package.stamps_ns[which], position, package.rotation[which] @ turns)])
+    camera = replace(package, stamps_ns=package.stamps_ns[which], position=position,
+                     rotation=package.rotation[which] @ turns)
+    write_bag(folder, [*map(again, streams.values()), again(camera, '/' + CAMERA)])
     return folder, Values({**true_cup, **known})
 
 
@@ -102,8 +88,8 @@ def test_poses_of_no_use_are_counted_with_what_to_check(filmed, tmp_path):
     camera = streams['camera']
 
     def seen(name, late_ns=0, frame_id='world'):
-        write_bag(tmp_path / name, [*of(streams, 'tool', 'package'), poses(
-            'camera', camera.stamps_ns + late_ns, camera.position, camera.rotation, frame_id)])
+        write_bag(tmp_path / name, [*(again(streams[role]) for role in ('tool', 'package')),
+                                    again(replace(camera, frame_id=frame_id), late_ns=late_ns)])
         return replay(
             tmp_path / name, values.replaced({'topics.tool_twist': ''}), observe=CAMERA).observed
 
@@ -132,7 +118,8 @@ def test_the_recorded_vacuum_shows_a_lost_package(filmed, tmp_path):
         position, falls = own.position.copy(), role != 'tool'
         position[:, 2] -= falls * 4.9 * np.square(np.maximum(own.stamps_ns - at_ns, 0) * 1e-9)
         seen = own.stamps_ns < at_ns + (320_000_000 if falls else 10**15)
-        recorded.append(poses(role, own.stamps_ns[seen], position[seen], own.rotation[seen]))
+        recorded.append(again(replace(own, stamps_ns=own.stamps_ns[seen],
+                                      position=position[seen], rotation=own.rotation[seen])))
     values = values.replaced({'topics.tool_twist': '', 'recording.start': 3.0})
     pressures = streams['tool'].stamps_ns[::20]
     values = values.replaced({'vacuum.signal': 'pressure'})
@@ -156,12 +143,12 @@ def test_several_packages_of_one_recording_are_predicted_while_held(filmed, tmp_
     switch = Encoded('/cell/vacuum/held', BOOL, stamps, [
         serialized(BOOL, (bool(each),)) for each in held])
     recorded = [switch]
-    for role, own in streams.items():  # lifted by 30 mm after each grip, and set down
+    for own in streams.values():  # lifted by 30 mm after each grip, and set down
         t, position = 1e-9 * (own.stamps_ns - stamps[0]), own.position.copy()
         for at, height in ((1.2, 0.03), (5.2, -0.03), (7.2, 0.03)):
             s = np.clip((t - at) / 0.5, 0.0, 1.0)
             position[:, 2] += height * s * s * (3.0 - 2.0 * s)
-        recorded.append(poses(role, own.stamps_ns, position, own.rotation))
+        recorded.append(again(replace(own, position=position)))
     write_bag(tmp_path / 'two', recorded)
     found = replay(tmp_path / 'two', values.replaced({
         'topics.tool_twist': '', 'vacuum.signal': 'bool'}), observe=CAMERA)
@@ -169,20 +156,3 @@ def test_several_packages_of_one_recording_are_predicted_while_held(filmed, tmp_
     assert found.observed.counts['not_held'] > 50
     at = 1e-9 * (found.live.stamps_ns - stamps[0])
     assert not np.any((at > 5.2) & (at < 6.9)) and at.min() > 0.9 and at.max() > 8.0
-
-
-def test_clean_recording_with_the_true_cup(rig):
-    result = replay(rig / 'clean', CLEAN)  # the defaults are the rig's cup
-    assert np.all(result.validation.scores.nrmse < 1e-5)
-    assert result.live.counts['predictions'] == result.live.counts['poses'] == 7201
-    assert result.live.counts['twists estimated'] == 0
-    assert np.all(result.live.scores.largest[:3] < 0.2e-6)
-    assert np.all(result.live.scores.largest[3:] < 3e-6)
-
-
-def test_residuals_at_the_truth_are_noise(rig):
-    """Find the error of the true cup explained by the noise."""
-    truth = np.load(rig / 'lab_validation_truth.npz')
-    true_cup = {'cup.stiffness': truth['K'].ravel(), 'cup.damping': truth['P'].ravel()}
-    found = replay(rig / 'lab_validation', {**LAB, **true_cup}).validation
-    assert_allclose(found.scores.rms, found.noise, rtol=0.1)

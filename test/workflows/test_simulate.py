@@ -99,12 +99,6 @@ def test_streams_have_their_own_rates_and_are_the_truth_without_noise(tmp_path):
         assert_array_equal(streams['pose'].stamps_ns, START_NS + np.round(truth['t'] * 1e9))
         assert_allclose(streams['pose'].position, truth['package'][:, :3, 3], atol=1e-15)
         assert_allclose(streams['pose'].rotation, truth['package'][:, :3, :3], atol=1e-14)
-    moving = read_recipe(MOTION, COM).motion
-    t = (streams['tool_twist'].stamps_ns - START_NS) * 1e-9
-    _, velocity, rotation, body_rate = moving.state(t)
-    assert_allclose(streams['tool_twist'].linear, velocity, atol=1e-14)
-    spatial_rate = np.einsum('nij,nj->ni', rotation, body_rate)
-    assert_allclose(streams['tool_twist'].angular, spatial_rate, atol=1e-14)
     assert {s.frame_id for s in streams.values()} == {'world'}
     assert report.duration_s == 2.0 and report.warnings == ()
 

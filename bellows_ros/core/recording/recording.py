@@ -389,8 +389,6 @@ class Report:
         Reports on the two topics.
     remarks : tuple of Finding
         Facts on the poses and on their alignment.
-    warnings : tuple of str
-        Sentences of the remarks made by workflows, and notes on the files.
     time_offset : TimeOffset or None
         Offset subtracted from the tool's stamps, None if not requested or not identifiable.
     package_world : PackageWorld or None
@@ -403,7 +401,6 @@ class Report:
     tool: StreamReport
     package: StreamReport
     remarks: tuple[Finding, ...] = ()
-    warnings: tuple[str, ...] = ()
     time_offset: TimeOffset | None = None
     package_world: PackageWorld | None = None
     scale: float = 1.0
@@ -669,7 +666,7 @@ class Recording:
                         'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'}},
             'noise': dict(zip(('tool', 'package'), self.noise, strict=True)),
             'lateral_offset': {'value': self.alignment.lateral_offset, 'unit': 'm'},
-            'warnings': self.report.warnings}
+            'findings': self.report.remarks}
 
 
 def require_one_frame(tool: PoseStream, package: PoseStream) -> None:
