@@ -22,7 +22,7 @@ from .text import DISPLAYED, formatted, quantity
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.convert import Conversion
-    from bellows_ros.workflows.plan import Motion, PlanReport
+    from bellows_ros.workflows.plan import Effect, PlanReport
     from bellows_ros.workflows.simulate import SimulationReport
     from bellows_ros.workflows.toss import ReleaseResult, TossResult
 
@@ -182,7 +182,7 @@ def print_plan(report: PlanReport, out: Any) -> None:
             '. The validity range of the cup is unknown.'), 'green')
 
 
-def _figure(motion: Motion, name: str, unit: str) -> str:
+def _figure(motion: Effect, name: str, unit: str) -> str:
     """Return a number of a motion with its standard deviation; of the grip, when and how."""
     found = quantity(motion.summary()[name], motion.std[name], unit)
     if name != 'smallest_safety_factor':

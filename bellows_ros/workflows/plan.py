@@ -1,8 +1,8 @@
 """
 Prediction of planned motions with uncertainty: as planned, in the shortest safe time, or steered.
 
-A plan is read as a `Source`. A `PlanReport` has the `Motion` that answers a request, and the plan
-as it is, each with its effect on the package.
+A plan is read as a `Source`. A `PlanReport` has the `Effect` of the requested motion and, beside
+it, of the plan as it is.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -180,7 +180,7 @@ class Move(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Effect:
     """
     A motion of the tool, and its effect on the package.
 
@@ -290,7 +290,7 @@ class Motion:
     def bodies(self) -> tuple[Trajectory, Trajectory]:
         """Return tool and package, including the time after a motion that ends at rest."""
         tool = self.extended(TAIL_SHOWN if self.prediction.ends_at_rest else 0.0)
-        states = PlanSimulation(self.source.model, None, tool, tail=0.0).states()
+        states = PlanSimulation(self.source.model, None, tool, tail=0.0).predict().states
         return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
 
     def numbers(self) -> dict[str, Any]:
@@ -312,7 +312,7 @@ class PlanReport(OfPlan):
     ----------
     source : Source
         The plan.
-    motions : mapping of str to Motion
+    motions : mapping of str to Effect
         The requested motion, by the name of its method, and the plan 'as planned' if it can be
         predicted.
     used : mapping of str to float
@@ -327,14 +327,14 @@ class PlanReport(OfPlan):
     """
 
     source: Source
-    motions: Mapping[str, Motion]
+    motions: Mapping[str, Effect]
     used: Mapping[str, float]
     notes: tuple[Finding, ...] = ()
     fastest: Fastest | None = None
     steered: steering.Steered | None = None
 
     @property
-    def result(self) -> Motion:
+    def result(self) -> Effect:
         """The requested motion."""
         return next(iter(self.motions.values()))
 
@@ -465,7 +465,7 @@ def steer_plan(
 
 
 def _report(
-    source: Source, limits: Any, motions: Mapping[str, Motion], *more: Any, **named: Any
+    source: Source, limits: Any, motions: Mapping[str, Effect], *more: Any, **named: Any
 ) -> PlanReport:
     """Return the report on motions, with the used parts of limits, if any, by the first motion."""
     first = next(iter(motions.values()))
@@ -479,7 +479,7 @@ def _slowed(scale: float, limit: str) -> tuple[Finding, ...]:
     return (Finding('slowed', Level.OK, {'scale': scale, 'limit': limit}),) if limit else ()
 
 
-def _effect(source: Source) -> Motion:
+def _effect(source: Source) -> Effect:
     """Predict the package along a motion, with standard deviations."""
     run = PlanSimulation(source.model, source.grip, source.tool)
     prediction = run.predict()
@@ -496,7 +496,7 @@ def _effect(source: Source) -> Motion:
         lambda changed: run.with_model(changed).predict().residual_swing))
     if prediction.ends_at_rest and rms > 2.0 * prediction.residual_swing:
         std['swing_left'] = rms  # near zero, where the swing has no slope
-    return Motion(source, prediction, {'duration': 0.0, **std})
+    return Effect(source, prediction, {'duration': 0.0, **std})
 
 
 def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:

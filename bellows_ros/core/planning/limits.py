@@ -184,22 +184,15 @@ def fastest(
     slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
     run = PlanSimulation(model, grip, tool, tail=min(2.0, 2.0 * math.pi / slowest))  # a period
     spread = [run.with_model(each) for _, *both in perturbed(uncertain, model) for each in both]
-    part = 0.0  # standard deviation relative to the safety factor
 
     def sigma(scale: float) -> float:
         factors = [each.safety(scale) for each in spread]
-        return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (
-            2.0 * PERTURBATION * run.safety(scale))
-
-    def is_low(scale: float) -> bool:
-        needed = required / max(1.0 - 2.0 * part, 0.01)
-        return run.safety(scale, needed) < needed
+        return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (2.0 * PERTURBATION)
 
     def limit_at(scale: float) -> str:
-        nonlocal part
-        if not is_low(scale):
-            part = sigma(scale)
-        return 'safety_factor' if is_low(scale) else ''
+        factor = run.safety(scale, required)
+        is_low = factor < required or factor - 2.0 * sigma(scale) < required
+        return 'safety_factor' if is_low else ''
 
     speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
     try:
@@ -209,5 +202,5 @@ def fastest(
         return None
     factor, slower, faster = (run.safety(scale * ratio) for ratio in (1.0, 1.01, 0.99))
     slope = (slower - faster) / (0.02 * scale)
-    std = sigma(scale) * factor
+    std = sigma(scale)
     return Fastest(scale, factor, std, abs(std / slope) if slope else 0.0)

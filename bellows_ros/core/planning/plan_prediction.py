@@ -185,10 +185,6 @@ class PlanSimulation:
         load = float(peaks[:2, 0].max())
         return 1.0 / load if load > 0.0 else math.inf
 
-    def states(self) -> Array:
-        """Return the rows (N, 13) of B along the plan."""
-        return self.predict().states
-
     def predict(self) -> PlanPrediction:
         """Return the prediction of the plan, and of the package swinging after its end."""
         (states, wrench, loads), (peaks, _, lip), settled = self.simulated()

@@ -151,12 +151,6 @@ class Drop:
         errors = self.explained_by(numbers)[2] / self.sizes
         return np.append(np.nan_to_num(errors, nan=1e6).clip(-1e6, 1e6), numbers[6])
 
-    def slopes(self, numbers: Array) -> Array:
-        """Return the derivatives of the residuals by the numbers (7,)."""
-        return np.stack([
-            (self.residuals(numbers + step) - self.residuals(numbers - step)) / (2.0 * DIFFERENCE)
-            for step in DIFFERENCE * np.eye(7)], axis=1)
-
 
 class Explained(NamedTuple):
     """Residuals of a law in a drop."""
@@ -282,11 +276,13 @@ def _fitted(drops: Sequence[Drop], start: Array, expected: Array) -> Any:
         return np.concatenate([*parts, (x[:6] - expected) / PRIOR_STD])
 
     def slopes(x: Array) -> Array:
-        parts = [drop.slopes(np.append(x[:6], own)) for drop, own in zip(
-            drops, x[6:], strict=True)]
-        return np.vstack([
-            np.hstack([np.vstack(parts)[:, :6], scipy.linalg.block_diag(*(
-                part[:, 6:] for part in parts))]), np.eye(6, 6 + count) / PRIOR_STD])
+        steps = DIFFERENCE * np.eye(7, 6 + count)
+        steps[6] = DIFFERENCE * (np.arange(6 + count) >= 6)  # each drop has its own delay
+        *of_law, of_own = (
+            (residuals(x + step) - residuals(x - step)) / (2.0 * DIFFERENCE) for step in steps)
+        ends = np.cumsum([6 * len(drop.package) + 1 for drop in drops])
+        return np.column_stack([*of_law, scipy.linalg.block_diag(
+            *np.split(of_own[:, None], ends)[:-1], np.empty((6, 0)))])
 
     middle, own = np.append(expected, np.zeros(count)), np.zeros(count)
     reach = np.append(np.full(6, 5.0 * PRIOR_STD), np.full(count, 2.0 * MAX_OWN))
