@@ -7,7 +7,6 @@ a decimal point.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from os.path import commonprefix
 from pathlib import Path
 import textwrap
 from typing import Any
@@ -21,8 +20,9 @@ from bellows_ros.files.atomic import write_text
 
 NODES = ('identifier', 'predictor')
 _SECTION = 'ros__parameters'
-_INDENT = '  '
+_INDENT = '    '
 _ROW = 6  # items of a list on one line
+_TO_FILL_IN = "SET THESE where they apply: remove the '#', and change the example."
 
 # Units of the rows of K and P as comments: linear and angular columns.
 _ROW_UNITS = {
@@ -111,15 +111,24 @@ def write_parameters(path: File, values: Mapping[str, Any], header: Sequence[str
     write_text(path, format_parameters(values, header))
 
 
-def format_parameters(values: Mapping[str, Any], header: Sequence[str] = ()) -> str:
-    """Return the text of a parameter file; see `write_parameters`."""
+def format_parameters(
+    values: Mapping[str, Any], header: Sequence[str] = (), to_fill_in: Sequence[Parameter] = ()
+) -> str:
+    """Return the text of a parameter file; parameters to fill in are comments with an example."""
     checked = {name: validate(name, value) for name, value in values.items()}
     # A line break must not end a comment.
     plain = (''.join(c if c.isprintable() else ' ' for c in line) for line in header)
-    lines = [f'# {line}'.rstrip() for line in plain]
-    lines += ['/**:', f'{_INDENT}{_SECTION}:']
-    body = list(_body(checked))
-    return '\n'.join([*lines, *(body or [f'{_INDENT * 2}{{}}'])]) + '\n'
+    lines = [*(f'# {line}'.rstrip() for line in plain), '/**:', f'  {_SECTION}:']
+    if to_fill_in:
+        lines.append(f'{_INDENT}# {_TO_FILL_IN}')
+    for each in to_fill_in:
+        lines += _entry(each, f'#{each.name}', f'{each.example or each.default}')
+    for name in sorted(checked, key=[*PARAMETERS].index):
+        if checked[name] != ():  # ROS has no empty lists
+            lines += _entry(lookup(name), name, *_texts(checked[name]))
+    if not (to_fill_in or any(value != () for value in checked.values())):
+        lines.append(f'{_INDENT}{{}}')
+    return '\n'.join(lines) + '\n'
 
 
 def _sections(
@@ -166,42 +175,26 @@ def _flattened(
             yield name, value, where
 
 
-def _body(values: Mapping[str, Value]) -> Iterator[str]:
-    """Yield the lines of the values in the table's order, nested by the parts of their names."""
-    groups: list[str] = []
-    for name in sorted(values, key=[*PARAMETERS].index):
-        if values[name] != ():  # ROS has no empty lists
-            *path, leaf = name.split('.')
-            for depth in range(len(commonprefix([groups, path])), len(path)):
-                yield f'{_INDENT * (2 + depth)}{path[depth]}:'
-            groups = path
-            yield from _entry(lookup(name), leaf, values[name], _INDENT * (2 + len(path)))
-
-
-def _entry(parameter: Parameter, leaf: str, value: Value, indent: str) -> Iterator[str]:
+def _entry(parameter: Parameter, name: str, *texts: str) -> Iterator[str]:
     """Yield the lines of one parameter: its description, its value, and units in every line."""
-    for line in textwrap.wrap(parameter.description, 97 - len(indent)):
-        yield f'{indent}# {line}'
-    unit = f'  # {parameter.unit}' if parameter.unit else ''
-    if isinstance(value, tuple) and len(value) > _ROW:
-        yield f'{indent}{leaf}:'
-        yield from _rows(parameter.name, value, indent + _INDENT, unit)
-    else:
-        yield f'{indent}{leaf}: {_scalar(value)}{unit}'
+    for line in textwrap.wrap(parameter.description, 97 - len(_INDENT)):
+        yield f'{_INDENT}# {line}'
+    rows = _ROW_UNITS.get(name)
+    for row, text in enumerate(texts):
+        unit = f'{AXES[row]}: {rows[row // 3]}' if rows and len(texts) > 1 else parameter.unit
+        start = f'{name}: ' if len(texts) == 1 else f'{name}:\n{_INDENT}  ' if row == 0 else '  '
+        yield f'{_INDENT}{start}{text}' + f'  # {unit}' * bool(unit)
 
 
-def _rows(name: str, value: tuple[Any, ...], indent: str, unit: str) -> Iterator[str]:
-    """Yield the lines of a long list, six items per line."""
+def _texts(value: Value) -> list[str]:
+    """Return a value in YAML, a long list in lines of six items."""
+    if not isinstance(value, tuple) or len(value) <= _ROW:
+        return [_scalar(value)]
     texts = [_scalar(x) for x in value]
-    width = max(len(text) for text in texts)
-    of_rows = _ROW_UNITS.get(name)
-    for row, start in enumerate(range(0, len(value), _ROW)):
-        cells = ', '.join(text.rjust(width) for text in texts[start:start + _ROW])
-        opening = '[' if start == 0 else ' '
-        closing = ']' if start + _ROW >= len(value) else ','
-        if of_rows:
-            unit = f'  # {AXES[row]}: {of_rows[row // 3]}'
-        yield f'{indent}{opening}{cells}{closing}{unit}'
+    width = max(map(len, texts))
+    rows = [', '.join(text.rjust(width) for text in texts[start:start + _ROW])
+            for start in range(0, len(texts), _ROW)]
+    return [f'[{rows[0]},', *(f' {row},' for row in rows[1:-1]), f' {rows[-1]}]']
 
 
 def _scalar(value: object) -> str:

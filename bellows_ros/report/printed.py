@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 import math
-import textwrap
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.findings import Level
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from bellows_ros.workflows.toss import ReleaseResult, TossResult
 
 MILLI = 1e3
-SECTION = 'ros__parameters:\n'
-INDENT = '    '
 
 UNKNOWN = ('package.mass', 'package.inertia', 'package.com', 'recording.package_frame',
            'cup.length')
@@ -89,10 +86,10 @@ def _topic_rows(topics: Sequence[TopicInfo]) -> list[tuple[str, ...]]:
 def cell_file(result: Info) -> str:
     """Return the text of a parameter file of a recording, with comments on what to fill in."""
     unknown = UNKNOWN + ('measured.tag_size',) * result.is_tag
-    return template_with(
-        [PARAMETERS[name] for name in unknown if name not in result.settings], result.settings, [
-            f'How to read {result.path}, as found by bellows info; check it.',
-            *(text_of(each) for each in result.findings if each.code == 'freed')])
+    return format_parameters(result.settings, [
+        f'How to read {result.path}, as found by bellows info; check it.',
+        *(text_of(each) for each in result.findings if each.code == 'freed')],
+        [PARAMETERS[name] for name in unknown if name not in result.settings])
 
 
 def template(parameters: Iterable[Parameter]) -> str:
@@ -104,25 +101,8 @@ def template(parameters: Iterable[Parameter]) -> str:
     parameters = list(parameters)
     required = [p for p in parameters if p.default in (None, ())]
     values = {p.name: p.default for p in parameters if p not in required}
-    return template_with(required, values, ['Parameters of bellows_ros at their defaults.'])
-
-
-def template_with(
-    required: list[Parameter], values: Mapping[str, Any], header: Sequence[str],
-) -> str:
-    """Return a parameter file with values; required ones as comments to fill in."""
-    text = format_parameters(values, header)
-    head, body = text.split(SECTION, 1)
-    lines = [f"{INDENT}# SET THESE where they apply: remove the '#', and change the example."]
-    for parameter in required:
-        comment = f'{INDENT}# '
-        lines += textwrap.wrap(
-            parameter.description, 97, initial_indent=comment, subsequent_indent=comment)
-        unit = f'  # {parameter.unit}' if parameter.unit else ''
-        example = parameter.example or parameter.default
-        lines.append(f'{INDENT}#{parameter.name}: {example}{unit}')
-    to_fill_in = ''.join(f'{line}\n' for line in lines if required)
-    return head + SECTION + to_fill_in + (body if values else '')
+    return format_parameters(
+        values, ['Parameters of bellows_ros at their defaults.'], required)
 
 
 def print_parameters(parameters: list[Parameter], out: Any) -> None:

@@ -103,7 +103,7 @@ def test_doubles_keep_every_digit_and_their_point(value):
     for version in ((1, 1), (1, 2)):
         reader = YAML(typ='safe', pure=True)
         reader.version = version
-        assert reader.load(text)['/**']['ros__parameters']['package']['mass'] == value
+        assert reader.load(text)['/**']['ros__parameters']['package.mass'] == value
 
 
 def test_a_value_that_is_not_allowed_is_not_written(tmp_path):
