@@ -210,7 +210,8 @@ def read_part(
     if bag in poses:
         settings = reading.prepare_settings(values)
         recording = replace(
-            reading.prepare_streams(poses[bag], settings, values), name=bag, digest=bag)
+            reading.prepare_streams(reading.within_interval(poses[bag], values), settings, values),
+            name=bag, digest=bag)
     else:
         recording = reading.load(path, values, name=bag, held=True)
     recording = reading.checked(recording)

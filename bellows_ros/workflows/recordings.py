@@ -89,7 +89,7 @@ def load(
             problem = NoTopicError(f'{problem} If the topics of recordings differ, give each a '
                                    'file in package.files.')
         raise problem
-    streams = contents.streams
+    streams = within_interval(contents.streams, values)
     if held and values.vacuum.signal != 'none':
         from bellows_ros.workflows.holds import masks_held  # with the live predictor
 
@@ -214,7 +214,6 @@ def _prepared(
     streams: Mapping[str, Any], settings: PrepareSettings, values: Values, accepted: str
 ) -> Recording:
     """Return prepared streams, in one world and on one clock."""
-    streams = within_interval(streams, values)
     for stream in streams.values():
         if not len(stream):
             raise BellowsError(

@@ -44,7 +44,7 @@ from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import detections, File, results
 from bellows_ros.report.findings import text, warnings
 from bellows_ros.workflows import CommandResult
-from bellows_ros.workflows.holds import signals_of, spans_held
+from bellows_ros.workflows.holds import signals_of
 from bellows_ros.workflows.plan import smallest_margin
 from bellows_ros.workflows.recordings import (
     checked,
@@ -271,7 +271,7 @@ def replay(
     own = values.replaced({name: PARAMETERS[name].default for name in (
         'measured.offset', 'measured.latency', 'measured.scale')}) if is_other else values
     recording, signals = load(bag, own), signals_of(bag, values)
-    rated, note = _held_part(bag, recording, own, signals) if signals else (recording, ())
+    rated = load(bag, own, held=True) if signals else recording
     if is_other:
         recording, rated = (replace(each, settings=replace(each.settings, tag=None))
                             for each in (recording, rated))
@@ -285,7 +285,7 @@ def replay(
         bag, recording, sent, live, values, observe, signals) if observe else (None, ())
     progress('done', 1.0)
     return replace(
-        free, live=live, observed=camera, findings=(*note, *free.findings, *more))
+        free, live=live, observed=camera, findings=(*free.findings, *more))
 
 
 def validated(values: Values, recording: Recording) -> Replay:
@@ -418,22 +418,6 @@ def _observed(
         {'prediction alone': uncorrected.corners,
          'both': corner_scores(recording, corrected)} if recording.views else {},
     ), sensor_findings(stream, values.measured.tag_size > 0.0)
-
-
-def _held_part(
-    bag: File, recording: Recording, values: Values, signals: Sequence[Signal]
-) -> tuple[Recording, tuple[Finding, ...]]:
-    """Return the longest hold of a recording, if there are signals, with a note on it."""
-    tool, spans = recording.tool_pose, spans_held(recording.tool_pose, signals, values)
-    if not spans:
-        return recording, ()
-    first, last = max(spans, key=lambda span: span[1] - span[0])
-    start, end = ((stamp_ns - int(tool.stamps_ns[0])) / NS_PER_S for stamp_ns in (first, last))
-    part = load(bag, values.replaced({
-        'recording.start': values.recording.start + start,
-        'recording.end': values.recording.start + end}))
-    return part, (Finding('longest_hold', Level.WARN, {
-        'count': len(spans), 'begin': start, 'end': end}),)
 
 
 def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
