@@ -238,7 +238,7 @@ def test_lost_grip_and_unknown_grip_are_reported(bag):
     weak = figures(bag, values={'vacuum.holding': 2e4})
     assert weak['findings'][0]['level'] == 'ERROR'
     low = figures(bag, values={'safety.least': 20.0})
-    assert 'expected at least 20' in low['warnings'][0]
+    assert 'xpected at least 20' in low['warnings'][0]
     unknown = figures(bag, values={'vacuum.holding': 0.0})
     assert 'Without cup.lip_radius' in unknown['warnings'][0]
     assert unknown['smallest_safety_mode'] is None

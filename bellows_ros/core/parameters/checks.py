@@ -318,28 +318,17 @@ class Settings:
         """Return a truth value."""
         return bool(self._get(name, default, 'bool'))
 
-    def text(self, name: str, default: str | None = None) -> str:
-        """Return a nonempty string."""
-        return str(self._get(name, default, 'string', required_text=True))
-
     def choice(self, name: str, choices: Sequence[str], default: str | None = None) -> str:
         """Return one of several strings."""
         return str(self._get(name, default, 'string', choices=tuple(choices)))
 
     def vector(
-        self, name: str, length: int, default: Sequence[float] | None = None, unit: str = ''
+        self, name: str, length: int = 0, default: Sequence[float] | None = None, unit: str = '',
+        **bounds: float
     ) -> Array:
-        """Return `length` finite numbers."""
-        return np.array(self._get(name, default, 'double_array', unit=unit, length=length))
-
-    def numbers(
-        self, name: str, unit: str = '', default: Sequence[float] | None = None, **bounds: float
-    ) -> Array:
-        """Return finite numbers, each in bounds; one or more without a default."""
-        values = np.array(self._get(name, default, 'double_array', unit=unit, **bounds))
-        if default is None and not len(values):
-            raise self.refuse(name, 'a list of one or more numbers', [])
-        return values
+        """Return finite numbers, each in bounds; any number of them for a length of 0."""
+        return np.array(self._get(
+            name, default, 'double_array', unit=unit, length=length, **bounds))
 
     def block(self, name: str) -> 'Settings':
         """Return a block inside this block, empty if not given."""

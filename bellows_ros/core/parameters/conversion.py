@@ -309,11 +309,6 @@ def with_assumed_release(values: Values) -> Values:
 
 
 def beyond_masses(values: Values) -> float:
-    """Return the `distance_of` the package from release.mass_range."""
-    return distance_of(values.package.mass, values.release.mass_range)
-
-
-def distance_of(mass: float, mass_range: tuple[float, ...]) -> float:
-    """Return the logarithmic distance of a mass from a range (kg); 0 inside, or without one."""
-    lightest, heaviest = mass_range
+    """Return the logarithmic distance of the package from release.mass_range; 0 without one."""
+    mass, (lightest, heaviest) = values.package.mass, values.release.mass_range
     return max(0.0, math.log(lightest / mass), math.log(mass / heaviest)) if lightest else 0.0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.parameters.checks import Settings, WRITTEN_UNIT_TOLERANCE
+from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -238,20 +238,9 @@ def motion_from(settings: Settings, phases: Generator) -> Motion:
 
 
 def pose_from(settings: Settings) -> Pose:
-    """Return a pose given by position and rpy or quaternion_xyzw; default: identity."""
-    position = settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m')
-    rpy = settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')
-    quaternion = settings.vector('quaternion_xyzw', 4, (0.0, 0.0, 0.0, 1.0))
-    if 'rpy' in settings and 'quaternion_xyzw' in settings:
-        raise BellowsError(
-            f"Settings '{settings.name('rpy')}' and '{settings.name('quaternion_xyzw')}' are both "
-            'given. Give one of them.')
-    if 'quaternion_xyzw' in settings:
-        length = float(np.linalg.norm(quaternion))
-        if abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE:
-            raise settings.refuse('quaternion_xyzw', 'of length 1', quaternion.tolist())
-        return Pose(position, lie.quaternion_to_rotation(quaternion / length))
-    return Pose(position, lie.rpy_rotation(rpy))
+    """Return a pose given by position and rpy; default: identity."""
+    return Pose(settings.vector('position', 3, (0.0, 0.0, 0.0), unit='m'), lie.rpy_rotation(
+        settings.vector('rpy', 3, (0.0, 0.0, 0.0), unit='rad')))
 
 
 def _multi_sine(settings: Settings, start: Pose, rest: float, phases: Generator) -> Motion:
@@ -280,9 +269,9 @@ def _sines(settings: Settings) -> list[Sine]:
         block = settings.block(name)
         for index, axis in enumerate(('x', 'y', 'z')):
             lines, default = block.block(axis), () if axis not in block else None
-            amplitude = lines.numbers('amplitude', unit, default=default)
-            frequency = lines.numbers(
-                'frequency', 'Hz', minimum=0.0, maximum=MAX_FREQUENCY, default=default)
+            amplitude = lines.vector('amplitude', 0, default, unit)
+            frequency = lines.vector(
+                'frequency', 0, default, 'Hz', minimum=0.0, maximum=MAX_FREQUENCY)
             if len(amplitude) != len(frequency):
                 raise BellowsError(
                     f"Settings '{lines.name('amplitude')}' and '.frequency' must be equally "

@@ -97,8 +97,6 @@ class Schedule(NamedTuple):
         Index of the tracking jump of the sample, -1 for none.
     sent : bool array (N,)
         False for a missing message.
-    jumps, dropouts : tuple of int
-        Index of the first sample of each, in order.
 
     """
 
@@ -106,8 +104,6 @@ class Schedule(NamedTuple):
     stamps_ns: Stamps
     jump: Stamps
     sent: Mask
-    jumps: tuple[int, ...]
-    dropouts: tuple[int, ...]
 
 
 def schedule(
@@ -156,11 +152,10 @@ def schedule(
         jump[start:end] = number
     for start, end in zip(starts[~is_jump], ends[~is_jump], strict=True):
         sent[start:end] = False
-    jumps, dropouts = (tuple(starts[which].tolist()) for which in (is_jump, ~is_jump))
     largest = 0.45 / sensor.rate_hz
     jitter = np.clip(draw.normal(0.0, sensor.jitter, len(sampled_ns)), -largest, largest)
     stamps_ns = sampled_ns + np.round(jitter * NS_PER_S).astype(np.int64)
-    return Schedule(sampled_ns, stamps_ns, jump, sent, jumps, dropouts)
+    return Schedule(sampled_ns, stamps_ns, jump, sent)
 
 
 def measure_poses(
@@ -185,7 +180,7 @@ def measure_poses(
     """
     count = len(truth)
     noise = draw.normal(size=(count, 6))
-    directions = draw.normal(size=(len(plan.jumps), 2, 3))
+    directions = draw.normal(size=(plan.jump.max() + 1, 2, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     sizes = np.array([[sensor.jumps.position], [sensor.jumps.rotation]])
     jumps = np.concatenate([directions * sizes, np.zeros((1, 2, 3))])[plan.jump]  # -1: none

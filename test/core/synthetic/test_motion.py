@@ -34,7 +34,7 @@ WAYPOINTS = {
     'waypoints': {
         'poses': [
             {'position': [0.6, 0.1, 0.7], 'rpy': [0.1, 0.5, -1.0], 'move': 0.8, 'hold': 0.5},
-            {'position': [0.4, 0.1, 0.9], 'quaternion_xyzw': [0, 0, 1, 0], 'move': 1.2},
+            {'position': [0.4, 0.1, 0.9], 'rpy': [0.0, 0.0, np.pi], 'move': 1.2},
             {'position': [0.5, 0.0, 0.8], 'move': 0.6, 'hold': 0.9}]}}
 STATIC = {
     'kind': 'static',
@@ -128,12 +128,10 @@ LINE = ('multi_sine', 'rotation', 'x')
 
 
 @pytest.mark.parametrize(('content', 'path', 'value', 'named'), [
-    (MULTI_SINE, ('start', 'quaternion_xyzw'), [0, 0, 0, 1], 'start.*quaternion_xyzw'),
     (MULTI_SINE, ('multi_sine',), {}, "'multi_sine'"),
     (MULTI_SINE, (*LINE, 'amplitude'), [1.0], r'multi_sine\.rotation\.x.* 1 and 2\b'),
     (MULTI_SINE, (*LINE, 'frequency'), [1.0, -1.0], r'frequency.* 100 \(Hz\).* -1\.0'),
     (WAYPOINTS, ('waypoints', 'poses'), [], "'waypoints.poses'"),
-    (WAYPOINTS, (*POSES, 'quaternion_xyzw'), [0, 0, 0, 2], r'quaternion_xyzw.* 1\b'),
     (WAYPOINTS, (*POSES, 'move'), 3600.0, r'\b3600 s\b')])
 def test_a_wrong_setting_is_refused_by_name(content, path, value, named):
     with pytest.raises(BellowsError, match=named):
@@ -213,7 +211,6 @@ def test_jumps_and_gaps_are_as_many_as_asked_for_and_apart(seed):
     rest = int(REST * 200)
     jumping = plan.jump >= 0
     faulty = jumping | ~plan.sent
-    assert (len(plan.jumps), len(plan.dropouts)) == (6, 4)
     assert jumping.sum() == 6 * 4 and (~plan.sent).sum() == 4 * 20
     assert not np.any(jumping & ~plan.sent)
     assert np.sum(np.diff(faulty.astype(int)) == 1) == 10  # no two of them touch
@@ -226,10 +223,9 @@ def test_jumps_and_gaps_are_as_many_as_asked_for_and_apart(seed):
     assert_allclose(np.linalg.norm(off, axis=1), 0.03 * size, atol=1e-12)
     assert_allclose(np.linalg.norm(turn, axis=1), 0.3 * size, atol=1e-7)
     # While one lasts, it is the same.
-    for number, start in enumerate(plan.jumps):
+    for number in range(6):
         during = off[plan.jump[plan.sent] == number]
         assert_allclose(during, np.tile(during[0], (4, 1)), atol=1e-12)
-        assert plan.jump[start] == number and plan.jump[start - 1] == -1
 
 
 def test_faults_that_fit_exactly_are_placed_and_one_more_is_refused():
@@ -237,7 +233,7 @@ def test_faults_that_fit_exactly_are_placed_and_one_more_is_refused():
         return Sensor('package', 10.0, dropouts=Faults(count, 0.5))
 
     # 201 samples, 21 of them in the rest: 180 hold 29 gaps of 5 and the samples around them.
-    assert len(plan_of(sensor(29)).dropouts) == 29
+    assert np.sum(~plan_of(sensor(29)).sent) == 29 * 5
     with pytest.raises(BellowsError, match=r"'package'.*\b181\b"):
         plan_of(sensor(30))
 
