@@ -40,11 +40,8 @@ RESTING = {
 }
 """A motion that holds a package upright, then tilted twice."""
 
-LIMIT = pytest.StashKey[float]()
-"""Processor time of a test, s."""
-
 WAIT_FACTOR = 10.0
-"""Ratio of the longest time of a test to its processor time, for waiting on a busy machine."""
+"""Ratio of the time that passes to processor time, for waiting on a busy machine."""
 
 LONGEST_TURN = 0.1
 """Longest wait (s) that counts at once: a process that is not run for a while loses no time."""
@@ -111,37 +108,12 @@ def compiled(*arguments):
         compile_part(*arguments)
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """
-    Give tests that share what is made once in their module to one worker, and set their limits.
-
-    The limit of a test (s) counts processor time, as a busy machine makes any other pass; where a
-    test waits for ever, so much more time ends it.
-    """
+    """Give tests that share what is made once in their module to one worker."""
     for item in items:
-        marker = item.get_closest_marker('timeout')
-        item.stash[LIMIT] = float(marker.args[0] if marker else item.config.getini('timeout'))
-        item.add_marker(
-            pytest.mark.timeout(WAIT_FACTOR * item.stash[LIMIT], func_only=True), append=False)
         made = item._fixtureinfo.name2fixturedefs  # type: ignore[attr-defined]
         if any(of[-1].scope == 'module' for of in made.values()):
             item.add_marker(pytest.mark.xdist_group(str(item.path)))
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item):
-    """Let a test fail that takes more processor time than its limit."""
-    def fail(*_):
-        pytest.fail(f'It takes more than {item.stash[LIMIT]:g} s of processor time.')
-
-    before = signal.signal(signal.SIGPROF, fail)
-    signal.setitimer(signal.ITIMER_PROF, item.stash[LIMIT])
-    try:
-        return (yield)
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)
 
 
 def pytest_report_header():
@@ -257,8 +229,8 @@ class Ros:
         Spin until a condition holds; return whether it held before the timeout (s).
 
         Waits for events, not for time: it returns as soon as the condition holds, and the timeout
-        is long, as it costs only where something fails. It counts processor time, as the limit
-        of a test, and time that passes by a `WAIT_FACTOR` less.
+        is long, as it costs only where something fails. It counts processor time, and time that
+        passes by a `WAIT_FACTOR` less.
         """
         left = timeout
         while not condition():

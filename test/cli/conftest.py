@@ -1,7 +1,6 @@
 """The command, and small recordings of a known cup for it."""
 
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from functools import partial
 import io
 import json
 import os
@@ -80,12 +79,6 @@ def succeed(bellows):
 
 
 @pytest.fixture(scope='session')
-def quietly(succeed):
-    """Give a function that runs `bellows`, and has it succeed without a warning."""
-    return partial(succeed, quiet=True)
-
-
-@pytest.fixture(scope='session')
 def workshop(tmp_path_factory, succeed):
     """
     Return a folder with the files of a user, which tests only read.
@@ -107,13 +100,3 @@ def workshop(tmp_path_factory, succeed):
 def transport(tmp_path_factory):
     """Give a plan as a motion file."""
     return write_yaml(tmp_path_factory.mktemp('plan') / 'transport.yaml', TRANSPORT)
-
-
-@pytest.fixture(scope='session')
-def identified(quietly, workshop, tmp_path_factory):
-    """Identify once; give a folder with cup.yaml and fit.json, which tests only read."""
-    folder = tmp_path_factory.mktemp('identified')
-    quietly(
-        'identify', 'recording', '--params', 'package.yaml', '--out', folder / 'cup.yaml',
-        '--json', folder / 'fit.json', cwd=workshop)
-    return folder

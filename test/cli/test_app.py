@@ -32,12 +32,12 @@ def run(environment, *arguments, **more):
 
 
 @pytest.mark.parametrize('columns', [80, 120])
-def test_help_teaches(quietly, columns, user_environment):
+def test_help_teaches(succeed, columns, user_environment):
     """Each command says what it does, gives examples, and where to read on; nothing is cut."""
     top = run(user_environment, '--help', COLUMNS=str(columns)).stdout
     for name, command in app.commands.items():
         assert command.get_short_help_str(200) in top and not command.short_help
-        done = quietly(name, '--help')
+        done = succeed(name, '--help', quiet=True)
         assert f'Usage: bellows {name}' in done.stdout and 'Read on: docs/' in done.stdout
         assert f'\n    bellows {name} ' in done.stdout.partition('For example:')[2]
         assert ('Exit code 1: ' in done.stdout) == (name in ('identify', 'plan', 'replay', 'toss'))
@@ -107,13 +107,13 @@ def test_a_value_is_shown_as_far_as_it_is_known(value, error, shown):
     assert column([0.0851, 1.234, 12.5]) == ['0.1', '1.2', '12.5']
 
 
-def test_an_unusual_stream_is_no_error(user_environment, quietly):
+def test_an_unusual_stream_is_no_error(user_environment, succeed):
     """End quietly if the reader has had enough, as `head` has; do without special characters."""
     command = f'{sys.executable} -m bellows_ros.cli parameters --yaml | head -n 1'
     done = subprocess.run(
         ['bash', '-c', command], env=user_environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, '') and done.stdout.startswith('#')
-    assert quietly('parameters', PYTHONIOENCODING='ascii').stdout.isascii()
+    assert succeed('parameters', quiet=True, PYTHONIOENCODING='ascii').stdout.isascii()
 
 
 @pytest.mark.skipif(not os.path.exists('/dev/full'), reason='there is no /dev/full here')

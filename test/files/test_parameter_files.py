@@ -158,12 +158,3 @@ def test_what_is_no_yaml_is_refused(tmp_path, data, figure):
     with pytest.raises(BellowsError, match=figure):
         safe_yaml.load(tmp_path / 'a')
     assert time.process_time() - begin < PATIENCE
-
-
-def test_lines_lead_to_each_key(tmp_path):
-    (tmp_path / 'a').write_text('# comment\na:\n  b: 1\n  c: {d: 2}\n"e f": [1]\n')
-    content = safe_yaml.load(tmp_path / 'a')
-    assert content == {'a': {'b': 1, 'c': {'d': 2}}, 'e f': [1]}
-    lines = {('a',): 2, ('a', 'b'): 3, ('a', 'c'): 4, ('a', 'c', 'd'): 4, ('e f',): 5}
-    assert all(content.where(keys) == f'{tmp_path / "a"}, line {line}: '
-               for keys, line in lines.items())

@@ -12,7 +12,6 @@ from rclpy.parameter import Parameter
 from . import conftest
 
 pytest.importorskip('bellows_ros.workflows.identify')
-pytestmark = pytest.mark.timeout(400)
 
 PACKAGE = {**conftest.PACKAGE, 'recording.package_frame': 'com'}
 TOPICS = {'topics__tool_pose': '/tool_arm/pose', 'topics__package_pose': '/package/pose'}

@@ -32,7 +32,6 @@ VALUES = (
     'a' * 5000, '9' * 400, "'", '\0', '\x1b[2J', ' ', '\n', '#', '&a', '*a', '1:30', 'sqlite3',
     'FILE', '/etc/passwd', ['../bag.mcap'], '\u202e', '\U0001f600')
 
-pytestmark = pytest.mark.timeout(600)
 of_seeds = pytest.mark.parametrize('seed', [
     0, *(pytest.param(seed, marks=pytest.mark.stress) for seed in range(1, 40))])
 

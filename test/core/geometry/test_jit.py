@@ -12,7 +12,7 @@ from bellows_ros.core.geometry import jit
 from numpy.testing import assert_allclose
 import pytest
 
-pytestmark = [pytest.mark.lane, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.lane
 compiled = pytest.mark.skipif(not jit.COMPILED, reason='numba is not installed')
 
 PACKAGE = Path(jit.__file__).parents[2]

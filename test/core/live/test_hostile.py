@@ -94,7 +94,6 @@ def check(live, predictions):
     assert len(live.pairing._twists) <= 32
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize('count', [25, pytest.param(400, marks=pytest.mark.stress)])
 def test_predictor_recovers_from_any_message(count):
     sent = []

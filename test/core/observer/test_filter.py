@@ -188,8 +188,7 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
             slope / NOISE_STD, H[:, row] * SIZES[row] / NOISE_STD, atol=2e-3)
 
 
-@pytest.mark.parametrize('updates', [
-    400, pytest.param(500_000, marks=[pytest.mark.stress, pytest.mark.timeout(900)])])
+@pytest.mark.parametrize('updates', [400, pytest.param(500_000, marks=pytest.mark.stress)])
 def test_covariance_stays_positive_definite_after_very_many_updates(updates):
     """Take in measurements without noise to speak of and ones with, turn and turn about."""
     rng = np.random.default_rng(2)
