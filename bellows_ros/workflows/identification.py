@@ -188,15 +188,12 @@ class Identification(CommandResult):
     @property
     def remappings(self) -> dict[str, str]:
         """Recorded topics by input of the node."""
-        topics = self.values.topics
-        inputs = {'tool_arm/pose': topics.tool_pose, 'package/measured': topics.package_pose}
-        if self.values.measured.type == 'tf':
-            del inputs['package/measured']
-        inputs = {name: topic for name, topic in inputs.items() if topic}
-        for recording in self.recordings[:1]:
-            if calibration := recording.report.package.recorded.calibration:
-                inputs['package/camera_info'] = calibration
-        return inputs
+        topics, (first, *_) = self.values.topics, (*self.recordings, None)
+        inputs = {
+            'tool_arm/pose': topics.tool_pose,
+            'package/measured': topics.package_pose * (self.values.measured.type != 'tf'),
+            'package/camera_info': first.report.package.recorded.calibration if first else ''}
+        return {name: topic for name, topic in inputs.items() if topic}
 
     @cached_property
     def found(self) -> Mapping[str, tuple[Any, Any, str]]:
