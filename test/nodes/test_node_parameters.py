@@ -3,7 +3,6 @@
 from threading import Event
 
 from bellows_ros.core.model.cup_package import Cup
-from bellows_ros.core.parameters import table
 from bellows_ros.core.parameters.table import parameters_for
 from bellows_ros.nodes import pipeline
 import numpy as np
@@ -124,18 +123,3 @@ def test_prediction_continues_while_another_kind_of_cup_compiles(make_partner, m
     compiled.set()
     partner.wait(lambda: len(node.pipeline.live.model[0]) == 6)
     assert not node.failures
-
-
-TEXTS = ('\x1b]0;x\x07\x1b[2J\n', '$5_$6_$\\frac{', '\u202e\x07' * 100_000, 'a' * 200_000)
-
-
-def test_no_text_of_a_parameter_reaches_log_or_answer(node, capfd):
-    """In the value of each one that is a string: escaped and shortened."""
-    names = [name for name in node.values if table.lookup(name).kind.startswith('string')]
-    answers = [node.set_parameters([Parameter(
-        name, value=[text] if 'array' in table.lookup(name).kind else text)])[0].reason
-        for text in TEXTS for name in names if node.has_parameter(name)]
-    for line in (*answers, *capfd.readouterr().err.splitlines()):
-        assert all(c.isprintable() or c == '\n' for c in line), repr(line[:300])
-        assert len(line) <= 3000
-    assert answers and not node.failures

@@ -1,7 +1,6 @@
 """State of the held package: start at rest, propagation with the tool, extrapolation."""
 
 import math
-from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import ZERO
@@ -87,16 +86,9 @@ def stated_payload(values: Values, stamp_ns: int) -> Payload:
     return Payload(stamp_ns, mass, com, inertia, float(mass_std[0]), com_std, inertia_std)
 
 
-class Sample(NamedTuple):
-    """The tool at one instant."""
-
-    stamp_ns: int
-    tool: State
-
-
 class HeldPackage:
     """
-    A package on a cup, and its newest tool sample.
+    A package on a cup, and its newest prediction.
 
     Parameters
     ----------
@@ -110,8 +102,8 @@ class HeldPackage:
     ----------
     outcome : str
         Fault of the last call: 'diverged', 'no_equilibrium', or ''.
-    sample : Sample or None
-        Newest sample, from which the package is advanced.
+    sample : Prediction or None
+        Prediction at the newest sample of the tool, from which the package is advanced.
     has_covariance : bool
         Whether the last covariance was not `UNKNOWN`.
     observer : Observer
@@ -123,7 +115,7 @@ class HeldPackage:
         self._gravity = gravity
         self.settling = Settling()
         self.observer, self.has_covariance = Observer(values), True
-        self.sample: Sample | None = None
+        self.sample: Prediction | None = None
         self.set_model(cup, package)
         self.forget()
 
@@ -149,7 +141,7 @@ class HeldPackage:
     def _begin(self, body: State) -> None:
         """Let the observer begin with the newest sample and a package."""
         assert self.sample
-        self.observer.start(*self.sample, body)
+        self.observer.start(self.sample.stamp_ns, self.sample.tool, body)
         if self.settling.is_known:
             self.observer.settle(self.settling.error_at)
 
@@ -184,10 +176,10 @@ class HeldPackage:
             observer.forget(SAME_PACKAGE)
             return self._start(stamp_ns, now)
         body, (force, moment) = result
-        self.sample = Sample(stamp_ns, now)
+        self.sample = Prediction(stamp_ns, *body[:4], force, moment, now, strains=body[4:])
         if self.settling.update(stamp_ns, now):
             observer.settle(self.settling.error_at)
-        return Prediction(stamp_ns, *body[:4], force, moment, now, strains=body[4:])
+        return self.sample
 
     def coast(self, stamp_ns: int) -> Prediction | None:
         """
@@ -256,7 +248,7 @@ class HeldPackage:
         if not is_sound:
             return None
         self.outcome, self._retry_ns = outcome, -1
-        self.sample = Sample(stamp_ns, tool)
+        self.sample = Prediction(stamp_ns, *body[:4], *wrench, tool, strains=body[4:])
         self.settling.begin(stamp_ns, tool)
         self._begin(body)
-        return Prediction(stamp_ns, *body[:4], *wrench, tool, strains=body[4:])
+        return self.sample

@@ -615,7 +615,7 @@ class LivePredictor:
 
     def _predict(self, pose: PoseSample, twist: TwistSample | None) -> Prediction | None:
         """Advance the package to a pose's stamp, or start from rest at this pose."""
-        before, now = self.motion.states(pose, twist, self.package.sample)
+        before, now = self.motion.states(pose, twist, self.package.sample is not None)
         if is_moving(now):
             self._moved_ns = pose.stamp_ns
         elif before or twist:  # the first pose alone has no speed

@@ -17,7 +17,6 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import as_inputs, entry
 from bellows_ros.core.geometry.lie import rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
-from bellows_ros.core.live.held_package import Sample
 from bellows_ros.core.model.kernels import extrapolated, ORIGIN, State
 from bellows_ros.core.signals.screening import MAX_TOOL_RATE, MAX_TOOL_SPEED, PoseSample
 from bellows_ros.core.signals.trajectory import NS_PER_S
@@ -325,10 +324,10 @@ class ToolMotion:
         self._lag += min(max(lag * is_late - self._lag, -LAG_STEP), LAG_STEP)
 
     def states(
-        self, pose: PoseSample, twist: TwistSample | None, last: Sample | None
+        self, pose: PoseSample, twist: TwistSample | None, is_held: bool
     ) -> tuple[State | None, State]:
         """
-        Return a better estimate of E at the last sample, if any, and E at the next pose.
+        Return a better estimate of E at the previous pose, if any, and E at the next pose.
 
         Twists are compared while a package is held, because a tool without one may jump.
         """
@@ -337,10 +336,10 @@ class ToolMotion:
             self.estimated += 1
             self._recent.clear()
             # a later pose improves the slope at the previous one
-            return self.state(back=1) if last else None, self.state()
+            return self.state(back=1) if is_held else None, self.state()
         now = with_measured_twist(*pose[1:], *twist[1:], self._in_world, self._tip, self._lag)
         self._recent.append(now)
-        if last and len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
+        if is_held and len(self._recent) > LATER_POSES and pose.stamp_ns >= self._due_ns:
             self._due_ns = pose.stamp_ns + PERIOD_NS
             self._compare(self._recent[0], now)
         return None, now

@@ -15,7 +15,6 @@ import pytest
 from ..tosses import GRIP
 from ...cell.cup import CUP, PACKAGE
 from ...cell.motion import Move
-from ...cell.sensors import sent_by
 
 RUBBER = replace(CUP, relaxation=(0.2, 0.25))
 STRETCHED = replace(CUP, stretch=(-2.5e4, -15.0))
@@ -31,20 +30,6 @@ def tilted(t, angle=0.3):
     s = np.clip((t - 0.1) / 0.2, 0.0, 1.0)
     angle *= s**3 * (10 - 15 * s + 6 * s * s)
     return lie.rotation_to_quaternion(lie.exp_so3(np.array([angle, 0.0, 0.0])))
-
-
-def test_live_prediction_is_the_simulation_and_creeps_after_a_move():
-    tool = SLIDE.plan()
-    expected = simulate(RUBBER, PACKAGE, tool, gravity=9.81)
-    predictor = live()
-    predictor.expect_twists(True)
-    found = []
-    for stamp_ns, o, q, v, w in zip(*sent_by(tool, 10**9, in_world=True), strict=True):
-        predictor.on_twist(stamp_ns, v, w)
-        found += predictor.on_pose(stamp_ns, 'world', o, q)
-    assert_allclose([own.position for own in found], expected.position[:len(found)], atol=2e-5)
-    assert len(found[-1].strains) == 2
-    assert live(CUP).on_pose(1, 'world', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))[0].strains == ()
 
 
 def test_relaxation_and_stretch_are_set_while_running():

@@ -6,7 +6,6 @@ The estimate is exact on quadratics, and of second order on smooth motions.
 
 from bellows_ros.core.geometry.lie import exp_so3, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live.held_package import Sample
 from bellows_ros.core.live.tool_twist import Pairing, ToolMotion, TwistSample
 from bellows_ros.core.signals.screening import PoseSample
 import numpy as np
@@ -132,14 +131,14 @@ def test_exact_on_quadratics_even_with_uneven_stamps(count, back):
 def lagging(late, noise, seed, seconds=6.0):
     """Yield the history of poses later than their twists, and the moved, seen and true place."""
     rng, motion = np.random.default_rng(seed), ShakenTool(np.random.default_rng(1))
-    history, held = ToolMotion(in_world=False), Sample(1, (ZERO, UPRIGHT, ZERO, ZERO))
+    history = ToolMotion(in_world=False)
     for t in np.arange(0.0, seconds, 0.008):
         o, R, _ = motion.at(t - late)
         seen = PoseSample(START + round(t * 1e9), tuple(o + noise * rng.normal(size=3)),
                           tuple(rotation_to_quaternion(R)))
         true, _, V = motion.at(t)
         _, now = history.states(
-            seen, TwistSample(seen.stamp_ns, tuple(V[:3]), tuple(V[3:])), held)
+            seen, TwistSample(seen.stamp_ns, tuple(V[:3]), tuple(V[3:])), True)
         yield history, now[0], seen.position, true
 
 
