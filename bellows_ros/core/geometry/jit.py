@@ -3,7 +3,8 @@ Compilation by numba; no other module imports numba.
 
 An entry is called from Python and compiled at its first call, with all kernels that it calls; its
 machine code is stored on disk. Python interprets a kernel that it calls itself, and without numba
-entries too. A kernel is scalar code on tuples of floats, or loops over arrays.
+entries too. A kernel is scalar code on tuples of floats, or loops over arrays. Entries that other
+entries call would be compiled with a second interface to Python, which takes as long as the code.
 """
 
 from collections.abc import Callable
@@ -124,17 +125,6 @@ def inlined_kernel(function: Function) -> Function:
 def entry(function: Function) -> Function:
     """Compile a function that Python calls, or return it unchanged without numba."""
     return numba.njit(cache=FOLDER is not None, **OPTIONS)(function) if COMPILED else function
-
-
-def inlined_entry(function: Function) -> Function:
-    """Compile an entry that also becomes part of the compiled functions that call it."""
-    return numba.njit(cache=FOLDER is not None, **INLINED)(function) if COMPILED else function
-
-
-def interpreted(function: Function) -> Function:
-    """Return the Python function of an entry."""
-    plain: Function = getattr(function, 'py_func', function)
-    return plain
 
 
 def announce(tell: Callable[[], object]) -> None:

@@ -288,10 +288,23 @@ if COMPILED:
                 for j in range(B.shape[1]):
                     row[j] += A[i, k] * B[k, j]
         return out
+
+    @kernel
+    def add_array(A: Any, out: Any) -> Any:
+        """Add A to the first rows, and return the sum."""
+        for i in range(A.shape[0]):
+            for j in range(A.shape[1]):
+                out[i, j] += A[i, j]
+        return out
 else:
     def add_product(A: Any, B: Any, out: Any) -> Any:
         """Add A B to the first rows, and return the sum."""
         out[:len(A)] += A[:, :len(B)] @ B
+        return out
+
+    def add_array(A: Any, out: Any) -> Any:
+        """Add A to the first rows, and return the sum."""
+        out[:len(A)] += A
         return out
 
 
@@ -300,13 +313,6 @@ def product(A: Any, B: Any, out: Any) -> Any:
     """Write A B to the first rows and zeros to the others, and return the result."""
     out[:] = 0.0
     return add_product(A, B, out)
-
-
-@kernel
-def add_array(A: Any, factor: float, out: Any) -> Any:
-    """Add factor A to the first rows, and return the sum."""
-    out[:len(A)] += factor * A
-    return out
 
 
 @kernel

@@ -3,6 +3,7 @@
 import math
 
 from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.live.uncertainty import (
     coasting,
@@ -28,6 +29,9 @@ from numpy.typing import ArrayLike
 
 RETRY_NS = 100_000_000
 """Time until a failed start is repeated, ns, because an equilibrium takes milliseconds."""
+
+checked_wrench = entry(kernels.checked_wrench)
+"""`kernels.checked_wrench` for calls from Python."""
 
 MIN_STEP = 1e-6
 """Shortest integration step of a live prediction, s."""
@@ -227,7 +231,7 @@ class HeldPackage:
             else:
                 body = (observer.body if stored_ns
                         else observer.propagated_briefly(start, end, duration))
-                wrench, sound = kernels.checked_wrench(self.model, end, body, self._reach)
+                wrench, sound = checked_wrench(self.model, end, body, self._reach)
         except (ArithmeticError, ValueError):  # interpreted kernels raise instead of nan
             return None
         return (body, wrench) if sound else None
@@ -242,7 +246,7 @@ class HeldPackage:
         try:
             body = equilibrium.static_equilibrium(self.model, tool)
             still: State = tool[0], tool[1], ZERO, ZERO
-            wrench, is_sound = kernels.checked_wrench(self.model, still, body, math.inf)
+            wrench, is_sound = checked_wrench(self.model, still, body, math.inf)
         except (BellowsError, ArithmeticError, ValueError):
             return None
         if not is_sound:

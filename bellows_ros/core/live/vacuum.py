@@ -5,11 +5,13 @@ import math
 import re
 
 from bellows_ros.core.geometry import tuples as t3
+from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.held_package import HeldPackage
 from bellows_ros.core.live.uncertainty import Prediction, STILL
+from bellows_ros.core.model import kernels
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
-from bellows_ros.core.model.kernels import lip_relative_to_tool, ModelTuple
+from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.validity_range import Distance, distance
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import ESTIMATE
@@ -32,6 +34,9 @@ SMALLEST_TAG = 1e-3
 
 ALL = -1
 """Index that stands for all cups of a gripper."""
+
+lip_relative_to_tool = entry(kernels.lip_relative_to_tool)
+"""`kernels.lip_relative_to_tool` for calls from Python."""
 
 
 def deflection(

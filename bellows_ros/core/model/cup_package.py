@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 import warnings
 
-from bellows_ros.core.geometry import jit
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import kernels, pseudo_inertia, structure
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple
@@ -277,8 +276,7 @@ def regressor(
     # The kernel's arithmetic also holds for tuples of arrays.
     sampled: Any = (tuple(position.T.copy()), tuple(rotation.reshape(-1, 9).T.copy()),
                     tuple(twist[:, :3].T.copy()), tuple(twist[:, 3:].T.copy()))
-    cup_wrench = jit.interpreted(kernels.cup_wrench)
-    return np.stack([np.concatenate(cup_wrench((0.5 * length, length, K, P), *sampled)).T
+    return np.stack([np.concatenate(kernels.cup_wrench((0.5 * length, length, K, P), *sampled)).T
                      for K, P in (*((unit, zero) for unit in units),
                                   *((zero, unit) for unit in units))], axis=2)
 

@@ -23,12 +23,16 @@ PHASE_PER_STEP = 0.1
 stable."""
 
 
+acceleration = entry(kernels.body_acceleration)
+"""`kernels.body_acceleration` for calls from Python."""
+
+
 def resting_on_tool(model: ModelTuple, tool: State) -> State:
     """Return the package at the cup's nominal pose, [B] = [S] = [E], at rest."""
     com = model[1][1]
     offset = t3.apply(t3.rotation_matrix(tool[1]), (com[0], com[1], com[2] - model[0][1]))
     body: State = t3.add(tool[0], offset), tool[1], ZERO, ZERO
-    return kernels.relaxed(model[0], (ZERO, ZERO), body) if model[0][4:] else body
+    return kernels.relaxed(model[0], (ZERO, ZERO), body)
 
 
 def adapted(model: ModelTuple, tool: State, body: State) -> State:
@@ -39,7 +43,7 @@ def adapted(model: ModelTuple, tool: State, body: State) -> State:
     return kernels.relaxed(model[0], kernels.lip_strain(model, tool, plain), plain)
 
 
-@entry
+@kernel
 def displaced(body: State, delta: Vector, phi: Vector) -> State:
     """Return the body at rest, shifted by R delta and rotated by exp(phi) in body axes."""
     move = t3.apply(t3.rotation_matrix(body[1]), delta)
@@ -56,7 +60,7 @@ def moved(body: State, shift: Vector, rotation: Vector, linear: Vector, angular:
         perturbed, t3.add(perturbed[2], linear), t3.add(perturbed[3], angular))
 
 
-@entry
+@kernel
 def moved_by(body: State, e: Any) -> State:
     """Return a state changed by the first twelve numbers of an error; see `moved`."""
     return moved(
@@ -87,8 +91,8 @@ class Jacobian(NamedTuple):
 
 def linearise(model: ModelTuple, tool: State, body: State) -> Jacobian:
     """Return the derivatives of the package's acceleration about a state."""
-    by_body = _slope(lambda e: kernels.body_acceleration(model, tool, moved_by(body, e)))
-    by_tool = _slope(lambda e: kernels.body_acceleration(model, moved_by(tool, e), body))
+    by_body = _slope(lambda e: acceleration(model, tool, moved_by(body, e)))
+    by_tool = _slope(lambda e: acceleration(model, moved_by(tool, e), body))
     return Jacobian(by_body[:, :6], by_body[:, 6:], by_tool[:, :6], by_tool[:, 6:])
 
 
@@ -140,7 +144,7 @@ def system_matrix(model: ModelTuple, tool: State, body: State) -> Array:
     size = 12 + len(strains)
     A = np.eye(size, k=6)
     A[6:], A[6:12, :6], A[6:12, 6:12] = 0.0, by.body_pose, by.body_twist
-    A[6:12, 12:] = _slope(lambda e: kernels.body_acceleration(
+    A[6:12, 12:] = _slope(lambda e: acceleration(
         model, tool, kernels.with_strains(body, kernels.strains_of(strains + e))), len(strains))
     for k, (_, tau) in zip(range(12, size, 6), model[0][4:], strict=True):
         A[k:k + 6, :6], A[k:k + 6, k:k + 6] = by_pose / tau, -np.eye(6) / tau
@@ -164,7 +168,7 @@ def largest_step(model: ModelTuple, A: Array | None = None) -> float:
     return PHASE_PER_STEP / fastest if fastest > 0.0 else math.inf
 
 
-@entry
+@kernel
 def substeps_for(duration: float, longest_step: float) -> int:
     """Return the number of integration steps for a time between two tool samples."""
     return max(1, math.ceil(duration / longest_step - 1e-9))
@@ -199,7 +203,8 @@ def static_equilibrium(model: ModelTuple, tool: State, guess: State | None = Non
         shift = t3.apply_transposed(t3.rotation_matrix(tool[1]), t3.subtract(guess[0], tool[0]))
         rotation = t3.quaternion_product(t3.quaternion_conjugate(tool[1]), guess[1])
         start, loads = (shift, rotation, ZERO, ZERO), 1
-    body, is_stable = _loaded(model, tool, start[:4], loads, np.zeros((6, 6)), np.zeros(6))
+    at_rest = (model[0][:4], *model[1:])  # without internal strains
+    body, is_stable = _loaded(at_rest, tool, start[:4], loads, np.zeros((6, 6)), np.zeros(6))
     if not is_stable:
         raise UnstableError(
             f'No static equilibrium: the cup cannot hold {model[1][0]:g} kg in this tool pose '

@@ -17,7 +17,7 @@ kernel is compiled separately for cups that relax.
 from typing import Any
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.jit import as_inputs, inlined_entry, inlined_kernel
+from bellows_ros.core.geometry.jit import as_inputs, inlined_kernel
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector, ZERO
 import numpy as np
 
@@ -186,7 +186,7 @@ def spring_frames(cup: CupTuple, o_E_S: Vector, R_E_S: Matrix) -> Vector:
     return o[0], o[1], o[2] + (cup[1] - cup[0])
 
 
-@inlined_entry
+@inlined_kernel
 def cup_wrench(
     cup: CupTuple, o_E_S: Vector, R_E_S: Matrix, v_ES: Vector, w_ES: Vector, strains: Strains = ()
 ) -> Wrench:
@@ -210,7 +210,7 @@ def wrench_at_com(com: Vector, f: Vector, m: Vector) -> Wrench:
     return f, t3.subtract(m, t3.cross(com, f))
 
 
-@inlined_entry
+@inlined_kernel
 def lip_relative_to_tool(
     com: Vector, tool: State, body: State
 ) -> tuple[Vector, Matrix, Vector, Vector]:
@@ -246,7 +246,7 @@ def newton_euler(
     return dv, dw
 
 
-@inlined_entry
+@inlined_kernel
 def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
     """Return the wrench of the cup on the package at the lip, in S axes, for a state."""
     cup, package, _ = model
@@ -254,7 +254,7 @@ def lip_wrench(model: ModelTuple, tool: State, body: State) -> Wrench:
     return cup_wrench(cup, o_E_S, R_E_S, v_ES, w_ES, body[4:])
 
 
-@inlined_entry
+@inlined_kernel
 def lip_strain(model: ModelTuple, tool: State, body: State) -> Strain:
     """Return the strain h of the cup (3.18) for a state."""
     cup, package, _ = model
@@ -297,7 +297,7 @@ def with_strains(state: State, strains: Strains) -> State:
     return (state[0], state[1], state[2], state[3], *strains)
 
 
-@inlined_entry
+@inlined_kernel
 def relaxed(cup: CupTuple, h: Strain, body: State) -> State:
     """Return a state with both internal strains at h, their value after a long rest."""
     if len(cup) == 4:
@@ -305,7 +305,7 @@ def relaxed(cup: CupTuple, h: Strain, body: State) -> State:
     return with_strains(body, (h, h))
 
 
-@inlined_entry
+@inlined_kernel
 def body_acceleration(model: ModelTuple, tool: State, body: State) -> tuple[Vector, Vector]:
     """Return the rate of the package's body twist, m/s^2 and rad/s^2 (3.42)."""
     _, package, gravity = model
@@ -318,7 +318,7 @@ ToolSegment = tuple[float, Vector, Vector, Vector, Vector, Quaternion, Vector, V
 """Duration (s), position cubic (four coefficients), start orientation, rotation cubic (three)."""
 
 
-@inlined_entry
+@inlined_kernel
 def tool_segment(start: State, end: State, duration: float) -> ToolSegment:
     """
     Return the cubic Hermite curve between two tool samples.
@@ -354,7 +354,7 @@ def cubic_slope(s: float, c1: Vector, c2: Vector, c3: Vector) -> Vector:
     return t3.add_scaled(c1, 2.0 * s, t3.add_scaled(c2, 1.5 * s, c3))
 
 
-@inlined_entry
+@inlined_kernel
 def tool_at(segment: ToolSegment, s: float) -> State:
     """Return the tool's pose and body twist at the fraction s of the segment."""
     duration, o0, a1, a2, a3, q0, c1, c2, c3 = segment
@@ -367,7 +367,7 @@ def tool_at(segment: ToolSegment, s: float) -> State:
         t3.scale(1.0 / duration, t3.body_rate(phi, cubic_slope(s, c1, c2, c3))))
 
 
-@inlined_entry
+@inlined_kernel
 def extrapolated(tool: State, duration: float) -> State:
     """Return the tool after a duration (s) of constant linear and angular velocity in A."""
     o, q, v, w = tool[:4]
@@ -478,7 +478,7 @@ def advance(
     return body
 
 
-@inlined_entry
+@inlined_kernel
 def checked_wrench(
     model: ModelTuple, tool: State, body: State, reach: float
 ) -> tuple[Wrench, bool]:

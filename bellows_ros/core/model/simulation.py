@@ -85,7 +85,7 @@ def steady_start(
 
     def unbalance(offset: Array) -> Array:
         state, needed = with_offset(offset)
-        return np.ravel(kernels.body_acceleration(model, first, state)) - needed
+        return np.ravel(equilibrium.acceleration(model, first, state)) - needed
 
     offset, shifts = np.zeros(6), 1e-6 * np.eye(6)
     for _ in range(30):

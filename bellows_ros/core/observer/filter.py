@@ -181,9 +181,9 @@ def accumulate(A: Array, B: Array, h: float, drive: Array, T: Array, Q: Array) -
     for k in (3.0, 2.0):
         identity_plus(half / k, t3.product(A, G, X), G)
     identity_plus(half, t3.product(A, G, X), F)
-    t3.add_array(drive, 1.0, Q)
+    t3.add_array(drive, Q)
     t3.product(F, t3.transpose(t3.product(F, Q, X)), Q)
-    t3.add_array(drive, 1.0, Q)
+    t3.add_array(drive, Q)
     by_twist = np.empty((12, 6))
     for i in range(12):
         for j in range(6):
@@ -341,8 +341,8 @@ def propagated(
                 now_ns, stamps[k], max_step):
             dynamics.slopes(nominal, theta, tool, body, A1, B1)
             if not is_reset:
-                t3.add_array(A1, 1.0, A0)
-                t3.add_array(B1, 1.0, B0)
+                t3.add_array(A1, A0)
+                t3.add_array(B1, B0)
                 half = _half_of_drive(model, tool, body, drive, squares, h * model_error)
                 accumulate(A0, B0, h, half, T, Q)
             A0, B0, A1, B1 = A1, B1, A0, B0

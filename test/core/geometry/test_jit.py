@@ -22,8 +22,9 @@ import json
 from bellows_ros.core.geometry import jit
 from bellows_ros.core.model.equilibrium import moved_by
 try:
-    found = moved_by(((1., 2., 3.), (0., 0., 0., 1.), (.1, .2, 0.), (.3, 0., .5)), (.1,) * 12)
-    hits = sum(moved_by.stats.cache_hits.values()) if jit.COMPILED else 0
+    moved = jit.entry(moved_by)
+    found = moved(((1., 2., 3.), (0., 0., 0., 1.), (.1, .2, 0.), (.3, 0., .5)), (.1,) * 12)
+    hits = sum(moved.stats.cache_hits.values()) if jit.COMPILED else 0
     print(json.dumps([found, hits, str(jit.FOLDER)]))
 except Exception as error:
     print(json.dumps(jit.damage(error)))
