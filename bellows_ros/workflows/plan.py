@@ -623,9 +623,10 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
         read = plans.plans_in(file, topic)
         if not read:
             return _source_of_recording(file, values, urdf, topic)
-    (name, first), *more = read
+    name, first = read[0]
+    count = sum(each.kind == first.kind for _, each in read)  # joints beside the tool are the same
     notes = [Finding('first_of_plans', Level.WARN, {
-        'count': len(read), 'name': name}, os.fspath(file))] if more else []
+        'count': count, 'name': name}, os.fspath(file))] * (count > 1)
     recording = '' if kind in YAML else file
     return replace(_source_of_plan(first, values, urdf, recording), notes=tuple(notes))
 

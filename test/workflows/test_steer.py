@@ -5,6 +5,7 @@ from pathlib import Path
 
 from bellows_ros.cli import main
 from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, transform
+from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.limits import demands, read_limits
 from bellows_ros.core.planning.points import quintic, timed
@@ -12,7 +13,7 @@ from bellows_ros.core.planning.steering import steer
 from bellows_ros.files import safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.plans import JOINTS, MULTI_DOF, plans_in
-from bellows_ros.workflows.plan import steer_plan
+from bellows_ros.workflows.plan import read_plan, steer_plan
 import numpy as np
 import pytest
 
@@ -74,6 +75,8 @@ def answer(root, folder, command, *more):
     plans = dict(plans_in(folder / 'out'))
     joints, tool = plans['/tool_arm/plan_joints'], plans['/tool_arm/plan']
     assert (joints.kind, tool.kind) == (JOINTS, MULTI_DOF)
+    values = resolve(read_parameters(root / 'bags/tossing.yaml'))
+    assert not read_plan(folder / 'out', values).notes  # one plan beside its answers
     return joints, tool
 
 
