@@ -28,26 +28,6 @@ def stamps(count, rate_hz):
     return EPOCH_NS + np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
 
 
-def poses_at(stamps_ns):
-    """Give positions, rotations and body twists of a motion with changing axis, in closed form."""
-    t = (np.asarray(stamps_ns) - EPOCH_NS)[:, None] / 1e9
-    amplitude, phase = np.array([0.6, -0.4, 0.5]), np.array([0.0, 0.7, 1.9])
-    frequency = np.array([3.0, 4.0, 5.0])
-    o = amplitude * np.sin(frequency * t + phase)
-    o_rate = amplitude * frequency * np.cos(frequency * t + phase)
-    phi = 2.0 * o + np.array([0.5, 0.2, -0.4])
-    R = lie.exp_so3(phi)
-    body_rate = lie.apply(lie.dexp(-phi), 2.0 * o_rate)
-    v = lie.apply(np.swapaxes(R, -1, -2), o_rate)
-    return o, R, np.concatenate([v, body_rate], axis=1)
-
-
-def motion(count, rate_hz, with_twist=True):
-    """Return that many samples of the motion at a rate (Hz)."""
-    o, R, twist = poses_at(stamps(count, rate_hz))
-    return Trajectory(stamps(count, rate_hz), o, R, twist if with_twist else None)
-
-
 def still_tool(T_world_tool, duration_ns, steps):
     """Return a tool at rest."""
     T = np.tile(T_world_tool, (steps + 1, 1, 1))
@@ -64,20 +44,32 @@ class ShakenTool:
         self.w = 2 * np.pi * frequency
 
     def at(self, t):
-        """Return position, rotation and body twist at a time (s)."""
-        s, c, w = np.sin(self.w * t), np.cos(self.w * t), self.w
-        position = self.a * s + self.b * (1 - c)
-        velocity = w * (self.a * c + self.b * s)
+        """Return positions, rotations and body twists at times (s)."""
+        w, t = self.w, np.asarray(t)[..., None]
+        s, c = np.sin(w * t), np.cos(w * t)
         phi = self.c * s + self.d * (1 - c)
-        rate = w * (self.c * c + self.d * s)
         R = exp_so3(phi)
-        return position, R, np.concatenate([R.T @ velocity, dexp(-phi) @ rate])
+        velocity, rate = w * (self.a * c + self.b * s), w * (self.c * c + self.d * s)
+        return self.a * s + self.b * (1 - c), R, np.concatenate([
+            apply(np.swapaxes(R, -1, -2), velocity), apply(dexp(-phi), rate)], axis=-1)
 
     def trajectory(self, duration, rate_hz):
         """Return the motion sampled, stamps as exact as nanoseconds are."""
         stamps = np.round(np.arange(int(duration * rate_hz) + 1) / rate_hz * 1e9).astype(np.int64)
-        parts = [self.at(stamp * 1e-9) for stamp in stamps]
-        return Trajectory(stamps, *(np.array(part) for part in zip(*parts, strict=True)))
+        return Trajectory(stamps, *self.at(stamps * 1e-9))
+
+
+TOOL = ShakenTool(np.random.default_rng(0), 0.6, 0.4, 0.6)
+
+
+def poses_at(stamps_ns):
+    """Give positions, rotations and body twists of a motion with changing axis, in closed form."""
+    return TOOL.at((np.asarray(stamps_ns) - EPOCH_NS) / 1e9)
+
+
+def motion(count, rate_hz):
+    """Return that many samples of the motion at a rate (Hz)."""
+    return Trajectory(stamps(count, rate_hz), *poses_at(stamps(count, rate_hz)))
 
 
 class Move:
