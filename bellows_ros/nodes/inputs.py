@@ -225,10 +225,10 @@ class Attachment:
                 self._live.on_pressure, message.fluid_pressure, message.header.frame_id):
             self._refused[rejected] += 1
 
-    def status(self, name: str) -> health.Status | None:
+    def status(self) -> health.Status | None:
         """Return the diagnostics line on the vacuum signal, if any."""
         return None if self._kind == 'none' else health.vacuum_status(
-            name, self._signal.report(self._refused), self._live.attached,
+            'vacuum', self._signal.report(self._refused), self._live.attached,
             self._live.vacuum.open_cups, latched=self._kind == 'bool')
 
 
@@ -417,8 +417,10 @@ class PackageInput:
             for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
                 more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
         more |= Counter(f'alarm: {alarm.kind}' for alarm in live.alarms)
+        is_needed = live.attached and self._measured_in.last_ns >= 0
         status = health.input_status('measured package', self._measured_in.report(
-            {**{verdict: counts[verdict] for verdict in VERDICTS}, **self._no_view}))
+            {**{verdict: counts[verdict] for verdict in VERDICTS}, **self._no_view}),
+            Level.ERROR if is_needed else Level.WARN)
         status.values.update({key: str(value) for key, value in more.items()})
         if alarm := live.alarm:
             return status._replace(finding=alarm.finding)
@@ -426,6 +428,4 @@ class PackageInput:
             return status._replace(finding=health.fact(
                 'package_world', why=f": {self._measured_in.topic} is in '{shown(self._frame)}', "
                 f"the tool in '{shown(live.frame_id)}', so its poses are not used"))
-        if live.attached and self._measured_in.last_ns >= 0:
-            return status
-        return status.at_level(min(status.level, Level.WARN))
+        return status

@@ -105,12 +105,9 @@ class Planning:
             self._publish(plan, tool, prediction)
             if (status := self.status) and status.level > Level.OK:
                 self._pipeline.node.get_logger().warning(f'Plan: {status.message}')
-            if stop[0]:
-                return
-            if joints is None and self._steered.subscribed:
-                self._steer_tool(plan, tool)
-            elif joints is not None and self._steered_joints.subscribed:
-                self._steer_joints(plan, tool, joints)
+            steered = self._steered if joints is None else self._steered_joints
+            if steered.subscribed and not stop[0]:
+                steered.publish(plans.encode(self._without_swing(plan, tool, joints)))
         except BellowsError as error:
             if not stop[0]:  # a newer plan is waiting
                 self._outcome = Status('plan', fact('state', state=f'Refused. {error}'), {})
@@ -189,20 +186,17 @@ class Planning:
                 f'of {math.degrees(found.residual):.2g} degrees.', throttle_duration_sec=1.0)
         return found.tool
 
-    def _steer_tool(self, plan: Plan, tool: Trajectory) -> None:
-        """Publish a motion of the tool without swing."""
-        values = self._pipeline.live.values
-        self._steered.publish(plans.encode(plans.plan_of_motion(
-            from_tip(self._steer(tool), tip_of(values)), plan.stamp_ns, plan.frame_id, 'tool',
-            values.tool_twist.frame)))
-
-    def _steer_joints(self, plan: Plan, tool: Trajectory, joints: Joints) -> None:
-        """Publish a motion of the same joints without swing."""
-        path = joints.along(self._steer(tool), tool)
+    def _without_swing(self, plan: Plan, tool: Trajectory, joints: Joints | None) -> Plan:
+        """Return a plan of the tool, or of the same joints, without swing."""
+        values, steered = self._pipeline.live.values, self._steer(tool)
+        if joints is None:
+            return plans.plan_of_motion(
+                from_tip(steered, tip_of(values)), plan.stamp_ns, plan.frame_id, 'tool',
+                values.tool_twist.frame)
+        path = joints.along(steered, tool)
         factor, limit = joint_excess(joints.arm, path, math.inf)
         if limit:
             raise BellowsError(
                 f'Steered, it exceeds the limit {limit}; expected {factor:.4g} times its '
                 'duration. Slow the plan down.')
-        self._steered_joints.publish(plans.encode(plans.plan_of_path(
-            plan.stamp_ns, plan.frame_id, joints.arm.moving, path)))
+        return plans.plan_of_path(plan.stamp_ns, plan.frame_id, joints.arm.moving, path)

@@ -294,7 +294,7 @@ class Diagnostics:
             refused={}, total_refused=of_twists)
         others = (
             pipeline.observing.status(), pipeline.observing.wrench_status(),
-            pipeline.attachment.status('vacuum'), pipeline.planning.status)
+            pipeline.attachment.status(), pipeline.planning.status)
         return [
             line, health.input_status('tool pose', poses),
             health.twist_status('tool twist', twists, new['poses'], new['alone'] * bool(twist_in)),

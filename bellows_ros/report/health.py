@@ -73,10 +73,6 @@ class Status(NamedTuple):
         """Sentences of the finding."""
         return findings.text(self.finding)
 
-    def at_level(self, level: Level) -> 'Status':
-        """Return the line with another level."""
-        return self._replace(finding=self.finding._replace(level=level))
-
 
 class InputReport(NamedTuple):
     """Statistics of one input since the last report."""
