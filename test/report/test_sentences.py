@@ -1,10 +1,20 @@
-"""Sentences: numbers have their unit, foreign text is shown safely."""
+"""Sentences of findings with numbers and units, and foreign text shown safely."""
 
+import os
+import re
+from string import Formatter
+
+from bellows_ros import plots
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.errors import shown
 from bellows_ros.report import sentences
-from bellows_ros.report.sentences import formatted
+from bellows_ros.report.findings import entry, facts, prevents, text, warnings
+from bellows_ros.report.sentences import formatted, SENTENCE_UNITS
 import numpy as np
 import pytest
+
+from ..cli.conftest import bellows  # noqa: F401 (a fixture)
+from ..files.recordings import EPOCH_NS, message, POSE, TYPES, write
 
 
 @pytest.mark.parametrize('template, number, expected', [
@@ -31,3 +41,70 @@ def test_shown_text_is_one_printable_line(text):
     assert shown('a' * 81) == 'a' * 77 + '...' and shown('a' * 80) == 'a' * 80
     assert formatted("'{x}' is lost.", x='\x1b[2J\n\udce9') == "'\\x1b[2J\\n\\udce9' is lost."
     assert len(formatted('{name}', name='a' * 10_000)) == sentences.MAX_TEXT
+
+
+def fields(fact):
+    """Return the fields of a fact with their formats."""
+    return {field.partition('[')[0]: form or '' for part in ('what', 'do')
+            for _, field, form, _ in Formatter().parse(fact.get(part, '')) if field}
+
+
+@pytest.mark.parametrize('code', facts())
+def test_a_fact_makes_sentences(code):
+    """Know its keys, parameters and units; print numbers, names, and none."""
+    fact = facts()[code]
+    assert fact['what'].endswith(('.', '}')) and fact.get('prevents', 'fit') in ('fit', 'replay')
+    assert set(fact) <= {'what', 'do', 'prevents'}
+    for value in (0.5, None):
+        numbers = {}
+        for name, form in fields(fact).items():
+            unit = form.rpartition(' ')[2]
+            is_count = form.startswith('# ')
+            assert is_count or unit in SENTENCE_UNITS or not unit or unit[-1] in 'defg%', form
+            numbers[name] = 1 if is_count or form.endswith('d') else value if form else 'name'
+        topic = numbers.pop('topic', '')
+        made = text(Finding(code, Level.WARN, numbers, topic))
+        assert made and '{' not in made
+
+
+def test_a_finding_is_rendered():
+    """As sentences, as an entry of JSON, and by the use that it prevents."""
+    finding = Finding('no_factor')
+    assert text(finding).startswith('Without cup.lip_radius') and 'Set cup' in text(finding)
+    assert entry(finding)['sets'] == ['cup.lip_radius', 'vacuum.holding']
+    assert warnings([finding, Finding('no_factor', Level.OK)]) == (text(finding),)
+    assert not prevents(finding, 'fit')
+
+
+def test_every_code_has_its_sentence_and_is_used(root):
+    source = ''.join(path.read_text() for path in (root / 'bellows_ros').rglob('*.py'))
+    assert set(re.findall(r"(?:Finding|fact)\(\s*'(\w+)'", source)) <= set(facts())
+    made = re.findall(r"f'([a-z]+_)\{", source)  # of a prefix, as in alarm_lost
+    assert [code for code in facts() if f"'{code}'" not in source
+            and not code.startswith(tuple(made))] == []
+
+
+HOSTILE = '\x1b]0;owned\x07\x1b[2J\n\u202e$\\\\frac{' + 'a' * 200_000
+
+
+def test_frames_and_topics_of_a_recording(bellows, tmp_path):  # noqa: F811
+    """In frame_id of messages, and in the name of a topic."""
+    bad = HOSTILE[:2000]
+    rows = [(int(t), bytes(TYPES.serialize_cdr(message(
+        POSE, t, pose=np.array([0, 0, 1, 0, 0, 0, 1.0]), frame_id=bad), POSE)))
+        for t in EPOCH_NS + np.arange(50) * 10_000_000]
+    write(tmp_path / 'bag', {('/tool', POSE): rows, (f'/x{bad[:100]}', POSE): rows})
+    for command in ('info', 'plan', 'identify', 'replay'):
+        done = bellows(command, 'bag', cwd=tmp_path)
+        for said in (done.stdout, done.stderr):
+            assert all(c.isprintable() or c == '\n' for c in said), repr(said[:300])
+            assert 'Traceback' not in said and len(said) < 20_000
+
+
+@pytest.mark.parametrize('note', ['run_$5_and_$6', '$\\frac{', os.fsdecode(b'caf\xe9'), HOSTILE])
+def test_pictures(note, tmp_path):
+    """In the conditions above the panels."""
+    pytest.importorskip('matplotlib', reason="no matplotlib here (pip install '.[plot]')")
+    with plots.picture('Title', note) as figure:
+        plots.write_figure(tmp_path / 'a.png', figure)
+        plots.svg_of(figure)

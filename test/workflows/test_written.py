@@ -1,9 +1,12 @@
-"""Files of a fit reproduce its free simulation, whatever is given, free and written."""
+"""Files of a fit: they reproduce its free simulation, and every number has its unit."""
 
 from dataclasses import replace
+import json
 
+from bellows_ros.core.geometry.jit import COMPILED
 from bellows_ros.core.identification.result import with_unidentifiable
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.results import format_json
 from bellows_ros.workflows.identification import save
 from bellows_ros.workflows.identify import identify
 from bellows_ros.workflows.replay import replay
@@ -65,3 +68,55 @@ def test_what_cannot_be_freed_keeps_its_given_value(known, bag):
     assert found.fit.usable and not {'mass', 'inertia'} & {*found.fit.named}
     assert 'mass' in next(each for each in found.fit.notes if each.code == 'not_freed').numbers[
         'names']
+
+
+PLAIN = ('settings', 'provenance', 'numbers')
+"""Blocks whose units are those of the parameters, and what has none."""
+
+
+def without_unit(content, path=''):
+    """Yield the paths of numbers, other than counts, whose unit is not beside them."""
+    units = content.get('units', {})
+    for key, value in content.items():
+        here = f'{path}.{key}'
+        if key in (*PLAIN, 'units') or key in units or key.endswith(('_hz', '_s', '_ns')):
+            continue
+        if key == 'value' and 'unit' in content or key == 'std' and 'unit' in content:
+            continue
+        yield from numbers(value, here)
+
+
+def numbers(value, path):
+    """Yield the paths of numbers in a value that has no unit of its own."""
+    if isinstance(value, dict):
+        yield from without_unit(value, path)
+    elif isinstance(value, list):
+        for item in value:
+            yield from numbers(item, f'{path}[]')
+    elif isinstance(value, float):
+        yield path
+
+
+@pytest.fixture(scope='module')
+def settings(root, known):
+    """Return all that can be asked of recordings."""
+    bags = root / 'bags'
+    return {
+        **known, 'bags': [str(bags / 'identification')],
+        'static.bags': [str(bags / 'static')], 'validation.bags': [str(bags / 'validation')],
+        'fit.free': ['time_offset'], 'recording.end': 8.0}
+
+
+@pytest.mark.parametrize(('method', 'unit'), [
+    ('least_squares', ['N'] * 3 + ['N m'] * 3),
+    pytest.param('output_error', ['m'] * 3 + ['rad'] * 3, marks=pytest.mark.skipif(
+        not COMPILED, reason='numba is not installed: the fit takes minutes'))])
+def test_every_number_has_its_unit(settings, method, unit):
+    short = {'bags': settings['validation.bags'], 'validation.bags': [], 'fit.free': [],
+             'recording.end': 4.0}
+    asked = {**settings, 'fit.method': method, **(
+        {} if method == 'least_squares' else short)}
+    content = json.loads(format_json(identify(asked).as_json()))
+    assert sorted(set(without_unit(content))) == []
+    assert content['units']['residual_rms'] == unit
+    assert content['units']['stiffness'][0] == ['N/m'] * 3 + ['N'] * 3
