@@ -35,9 +35,9 @@ and work changes both within this time."""
 KNOWN_COUNT = 33
 """Number of measurements from which the noise is known to 12 %, a second of a usual camera."""
 
-BURST = 7
-"""Number of consecutive poses outside the gate from which a tag deviates; blurred and flipped
-poses come in bursts of 1 to 6."""
+CONFUSED_NS = 25_000_000
+"""Time out of reach or outside the gate from which poses of a body count, ns: trackers confuse
+bodies for some frames."""
 
 SIGNIFICANCE = 5.0
 """Smallest change of a parameter that differs, standard deviations: 1 in 1.7 million."""

@@ -268,18 +268,17 @@ class Correction:
         self, before: Estimate, after: Estimate, seen: measured.Corrected
     ) -> tuple[Estimate, Alarm | None]:
         """Return an estimate with the evidence of a pose, and the alarm on it."""
-        is_tag = self._marker[3][0]
-        if is_tag and 0 < len(after.gated_ns) < alarms.BURST:
+        since_ns = before.evidence.since_ns
+        is_brief = seen.stamp_ns - since_ns < (
+            alarms.VIEW_NS if self._marker[3][0] else alarms.CONFUSED_NS)
+        if is_brief and after.gated_ns:
             return after, None
         after, alarm = self._differing(after, before.evidence.after(seen), seen.changes)
-        memory, evidence, (means, _, squares) = after.memory, after.evidence, seen.means
-        lasted_ns = seen.stamp_ns - evidence.since_ns
-        if alarm or memory[ekf.COUNT] <= alarms.KNOWN_COUNT or not alarms.is_deviation(
-                squares.max(), self.false_per_hour, memory[ekf.PERIOD]) or (
-                is_tag and lasted_ns < alarms.VIEW_NS):
+        memory, (means, _, squares) = after.memory, seen.means
+        if alarm or is_brief or memory[ekf.COUNT] <= alarms.KNOWN_COUNT or not (
+                alarms.is_deviation(squares.max(), self.false_per_hour, memory[ekf.PERIOD])):
             return after, alarm
-        alarm = alarms.deviation(seen, means[squares.argmax()], evidence.since_ns)
-        return self._renewed(after), alarm
+        return self._renewed(after), alarms.deviation(seen, means[squares.argmax()], since_ns)
 
     def _differing(
         self, estimate: Estimate, evidence: Evidence, sizes: Array

@@ -51,10 +51,6 @@ Additional time for which estimates are stored, ns, so that poses of the tool do
 propagation of a covariance (with a camera of at least 10 Hz).
 """
 
-LOST_AFTER_NS = 25_000_000
-"""Time out of reach, or just before outside the gate, after which a package is lost, ns: trackers
-confuse bodies for some frames."""
-
 SILENT_PERIODS = 2.5
 """Number of periods after which a sensor is silent; the period of a camera is the shorter of the
 last two."""
@@ -423,7 +419,8 @@ class Observer:
                 return estimate
             away_ns = min(estimate.gated_ns, default=stamp_ns)  # these were part of the fall
             estimate = estimate._replace(away_ns=away_ns)
-        if stamp_ns - away_ns < (VACUUM_DELAY_NS if self._is_held else LOST_AFTER_NS):
+        if stamp_ns - away_ns < (
+                VACUUM_DELAY_NS if self._is_held else alarms.CONFUSED_NS):
             return estimate
         seen = estimate.evidence.seen
         assert seen
