@@ -61,6 +61,8 @@ class Estimate(NamedTuple):
     """Whether a support was `NEAR` or in `CONTACT`; 0 without."""
     wrench_memory: tuple[float, ...] = ()
     """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
+    outside: int = 0
+    """Number of successive blocks of wrenches outside the gate, at most `wrenches.PERSISTING`."""
 
     @property
     def moving(self) -> Moving:

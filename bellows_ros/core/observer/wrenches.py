@@ -176,7 +176,7 @@ class WrenchFilter:
     def __init__(self, sensor: WrenchSensor) -> None:
         self.sensor = sensor
         self._stamps, self._values = np.zeros(KEPT, np.int64), np.zeros((KEPT, 6))
-        self._count = self._outside = self._since_ns = 0
+        self._count = self._since_ns = 0
         self.set_up = SetUp(sensor)
 
     def clear(self) -> None:
@@ -221,19 +221,18 @@ class WrenchFilter:
         own = _with_sensor(before, correction.prior)
         H[:, states.ZERO:states.ZERO + 6], H[:, states.GAIN] = np.eye(6), mean
         gain, zero = (own.theta[row - STATE:][:6] for row in (states.GAIN, states.ZERO))
-        after, is_outside = self._updated(
+        after = self._updated(
             correction, own, WITH_CAMERA if has_camera else CUP,
             used[1].mean(axis=0) - (1.0 + gain[0]) * mean - zero, H,
             np.repeat(np.square(SAMPLE_NOISE) / (last - first) + PERSISTENCE * (
                 GAIN_STD**2 + before.memory[ekf.SHARE]) * np.square(
                     np.linalg.norm(mean.reshape(2, 3), axis=1)), 3))
-        self._outside = min(self._outside + 1, PERSISTING) * is_outside
-        if self._outside == PERSISTING or (
+        if after.outside == PERSISTING or (
                 stands(np.ravel(start[2:4])) and stands(np.ravel(end[2:4]))):
             R = np.reshape(t3.multiply(t3.rotation_matrix(end[1]), self.sensor.mount[1]), (3, 3))
-            self.set_up.add(Still(used[1].mean(axis=0), mean, R), correction.weight)
-        is_used = self.set_up.fault is None and self._outside in (0, PERSISTING)
-        return after if is_used else before
+            self.set_up.add(until_ns, Still(used[1].mean(axis=0), mean, R), correction.weight)
+        is_used = self.set_up.fault is None and after.outside in (0, PERSISTING)
+        return after if is_used else before._replace(outside=after.outside)
 
     def is_lost(
         self, correction: Correction, estimate: Estimate, track: ekf.Track, stamp_ns: int,
@@ -271,12 +270,8 @@ class WrenchFilter:
     def _updated(
         self, correction: Correction, before: Estimate, kept: Places, y: Array, H: Array,
         variance: Array,
-    ) -> tuple[Estimate, bool]:
-        """
-        Return an estimate corrected by an innovation (6,), with derivative H (6, n).
-
-        The second result is whether the innovation is outside the gate.
-        """
+    ) -> Estimate:
+        """Return an estimate corrected by an innovation (6,), with derivative H (6, n)."""
         memory = np.array(before.wrench_memory or (FIRST_FACTOR, FIRST_FACTOR))
         variance = variance * np.repeat(memory, 3)
         P = before.covariance
@@ -294,10 +289,11 @@ class WrenchFilter:
         gain[:, kept], of_kept[:, kept] = 0.0, W[:, kept]
         body, theta = changed_by(before.body, before.theta, gain.T @ z)
         if not dynamics.is_possible(body, theta, correction.largest):
-            return before._replace(wrench_memory=tuple(memory.tolist())), True
+            excess, body, theta, W, of_kept = math.inf, *before[2:4], 0.0 * W, 0.0 * W
         return before._replace(
             body=body, theta=theta, covariance=P - W.T @ W + of_kept.T @ of_kept,
-            wrench_memory=tuple(memory.tolist())), excess > 1.0
+            wrench_memory=tuple(memory.tolist()),
+            outside=min(before.outside + 1, PERSISTING) if excess > 1.0 else 0)
 
 
 def _with_sensor(estimate: Estimate, prior: Array) -> Estimate:
@@ -334,15 +330,15 @@ class SetUp:
 
     def __init__(self, sensor: WrenchSensor) -> None:
         self._sensor = sensor
-        self._still: list[Still] = []
+        self._still: dict[int, Still] = {}
         self.fault: Fault | None = None
 
-    def add(self, now: Still, weight: float) -> None:
-        """Check the mean reading of another block at rest; the oldest of its tilt is dropped."""
-        alike = [k for k, each in enumerate(self._still)
+    def add(self, stamp_ns: int, now: Still, weight: float) -> None:
+        """Check the mean reading of a block at rest, once; the oldest of its tilt is dropped."""
+        alike = [at for at, each in self._still.items()
                  if each.R_world_sensor[2] @ now.R_world_sensor[2] > COS_MIN_TILT]
         if len(alike) >= KEPT_BLOCKS:
             del self._still[alike[0]]
-        self._still.append(now)
+        self._still[stamp_ns] = now
         self.fault = fault_of(
-            Still(*map(np.array, zip(*self._still, strict=True))), self._sensor, weight)
+            Still(*map(np.array, zip(*self._still.values(), strict=True))), self._sensor, weight)

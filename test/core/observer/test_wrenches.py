@@ -119,7 +119,8 @@ def shown_by(set_up, rng):
         np.cos(angle := rng.uniform(0.0, 6.3)), np.sin(angle), 0.0]))
     mass, com = 1.0 + 0.07 * rng.normal(), np.r_[7e-3 * rng.normal(size=2), 3e-3 * rng.normal()]
     zero, gain = np.repeat([0.3, 0.02], 3) * rng.normal(size=6), 1.0 + 0.01 * rng.normal(size=6)
-    for R in (*[np.eye(3)] * 8, *[tilt @ lie.exp_so3([0.0, 0.0, rng.uniform(-1.5, 1.5)])] * 4):
+    for stamp_ns, R in enumerate((*[np.eye(3)] * 8, *[tilt @ lie.exp_so3(
+            [0.0, 0.0, rng.uniform(-1.5, 1.5)])] * 4)):
         force = R.T @ [0.0, 0.0, -WEIGHT]
         load, true = (np.r_[f, np.cross(arm, f)] for f, arm in (
             (force, [0.0, 0.0, -0.196]), (mass * force, com - [0.0, 0.0, 0.196])))
@@ -132,7 +133,8 @@ def shown_by(set_up, rng):
             **{turned: np.r_[Q @ true[:3], Q @ true[3:]] for turned, Q in TURNED.items()},
         }.get(set_up, true)
         noise = np.repeat([0.04, 2e-3], 3) * rng.normal(size=6)
-        check.add(Still(UNITS.get(set_up, 1.0) * (gain * shown + zero + noise), load, R), WEIGHT)
+        check.add(stamp_ns, Still(
+            UNITS.get(set_up, 1.0) * (gain * shown + zero + noise), load, R), WEIGHT)
     return check
 
 
