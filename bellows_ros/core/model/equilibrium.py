@@ -9,7 +9,7 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry import tuples as t3
-from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.jit import entry, kernel
 from bellows_ros.core.geometry.lie import hat
 from bellows_ros.core.geometry.tuples import Quaternion, Vector, ZERO
@@ -172,11 +172,6 @@ def largest_step(model: ModelTuple, A: Array | None = None) -> float:
 def substeps_for(duration: float, longest_step: float) -> int:
     """Return the number of integration steps for a time between two tool samples."""
     return max(1, math.ceil(duration / longest_step - 1e-9))
-
-
-def substeps_of(durations: Array, longest_step: float) -> Stamps:
-    """Return the number of integration steps for each duration; see `substeps_for`."""
-    return np.maximum(1, np.ceil(durations / longest_step - 1e-9)).astype(np.int64)
 
 
 _MAX_MOVE = 0.3  # m or rad, of one iteration

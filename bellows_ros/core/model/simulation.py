@@ -190,8 +190,9 @@ def simulate(
     model = model_tuple(cup, package, gravity)
     rows = tool_rows(tool)
     durations = np.diff(tool.stamps_ns) / NS_PER_S
-    steps = (np.full(len(durations), substeps, dtype=np.int64) if substeps
-             else equilibrium.substeps_of(durations, equilibrium.largest_step(model)))
+    longest = equilibrium.largest_step(model)
+    steps = np.array([substeps or equilibrium.substeps_for(duration, longest)
+                      for duration in durations.tolist()], dtype=np.int64)
     try:
         begin = (equilibrium.adapted(model, row_state(rows[0]), start) if start
                  else rest(model, rows[0]))

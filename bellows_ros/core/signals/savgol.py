@@ -258,27 +258,13 @@ def bridged(poses: Trajectory) -> Trajectory:
 
 
 def correlated(white: Array, ar1: float) -> Array:
-    """Return first-order noise from white noise (N, C), stationary from the first sample on."""
-    inputs = np.sqrt(1.0 - ar1**2) * white
-    inputs[:1] = white[:1]
-    return first_order(inputs, ar1) if ar1 else inputs
-
-
-def first_order(inputs: Array, ar1: float) -> Array:
     """
-    Return y (N, C) with y_k = ar1 y_{k-1} + inputs_k, and y_0 = inputs_0.
+    Return first-order noise from white noise (N, C), stationary from the first sample on.
 
+    The noise is y_k = ar1 y_{k-1} + sqrt(1 - ar1^2) white_k, with a weight ar1 below 1.
     `scipy.signal.lfilter` would take 0.4 s and 50 MB to load.
-
-    Parameters
-    ----------
-    inputs : ndarray (N, C)
-        Inputs, in any unit.
-    ar1 : float
-        Weight of the previous value, below 1.
-
     """
-    diagonals = np.ones((2, len(inputs)))
-    diagonals[1] = -ar1
+    inputs, diagonals = np.sqrt(1.0 - ar1**2) * white, np.ones((2, len(white)))
+    inputs[:1], diagonals[1] = white[:1], -ar1
     return np.asarray(
         scipy.linalg.solve_banded((1, 0), diagonals, inputs, check_finite=False))
