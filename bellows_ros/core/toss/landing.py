@@ -92,37 +92,42 @@ def scatter(case: TossProblem, nominal: Toss, count: int = DRAWS, seed: int = 0)
     Raises
     ------
     NoLandingError
-        If fewer than half of the tosses land, or one next to the nominal does not.
+        If fewer than half of the tosses land.
 
     """
     held, (values, std, places), rng = case.held, case.uncertain, np.random.default_rng(seed)
 
     def miss(model: ModelTuple, of_law: Array) -> Array:
-        drawn = held if model is held.model else HeldMotion(
-            model, held.grip, held.tool, until=nominal.release_time + MARGIN)
-        landed = toss(drawn, release_with(case.release, case.factor @ of_law), case.switched)
-        return np.concatenate(toss_release.landing_error(
-            landed.landing, nominal.landing, held.model[2]))
-
-    errors = []
-    for normal in rng.standard_normal((count, len(std) + 6)):
+        """Return the deviation (6,) of a toss, NaN without a landing."""
         with suppress(NoLandingError, UnstableError):
-            errors.append(miss(cup_package.model_with(
-                held.model, values + std * normal[:-6], places), normal[-6:]))
+            drawn = held if model is held.model else HeldMotion(
+                model, held.grip, held.tool, until=nominal.release_time + MARGIN)
+            landed = toss(drawn, release_with(case.release, case.factor @ of_law), case.switched)
+            return np.concatenate(toss_release.landing_error(
+                landed.landing, nominal.landing, held.model[2]))
+        return np.full(6, np.nan)
+
+    draws = np.split(rng.standard_normal((count, len(std) + 6)), [len(std)], axis=1)
+    errors = np.array([
+        miss(cup_package.model_with(held.model, values + std * of_model, places), of_law)
+        for of_model, of_law in zip(*draws, strict=True)])
+    errors = errors[np.isfinite(errors[:, 0])]
     if len(errors) < count // 2:
         raise NoLandingError(
             f'Of {count} tosses with drawn parameters only {len(errors)} land; expected half or '
             'more. Lower the standard deviations of package, cup and release.*, or drive slower.')
-    names, parts = cup_package.contributions(
-        case.uncertain, held.model, lambda model: miss(model, np.zeros(6)))
-    used = np.flatnonzero(case.factor.any(axis=0))
-    of_law = [0.5 * (miss(held.model, one) - miss(held.model, -one)) for one in np.eye(6)[used]]
+    used, still = np.flatnonzero(case.factor.any(axis=0)), np.zeros(6)
     is_diagonal = np.array_equal(case.factor, np.diag(np.diag(case.factor)))
     law_std = np.diag(case.factor) if is_diagonal else np.full(6, np.nan)
+    pairs = {name: (1.0 / cup_package.PERTURBATION, (up, still), (down, still))
+             for name, up, down in cup_package.perturbed(case.uncertain, held.model)}
+    of_law = [(1.0, (held.model, one), (held.model, -one)) for one in np.eye(6)[used]]
+    parts = [scale * np.nanmean([miss(*more), -miss(*less)], axis=0)  # of one side, if one fails
+             for scale, more, less in (*pairs.values(), *of_law)]
     return Scatter(
-        np.array(errors), count - len(errors),
-        (*names, *(RELEASE_NAMES[k] if is_diagonal else 'release' for k in used)),
-        np.append(std[std != 0.0], law_std[used]), np.reshape([*parts, *of_law], (-1, 6)))
+        errors, count - len(errors),
+        (*pairs, *(RELEASE_NAMES[k] if is_diagonal else 'release' for k in used)),
+        np.append(std[std != 0.0], law_std[used]), np.reshape(parts, (-1, 6)))
 
 
 def ellipse(covariance: Array, count: int) -> Array:
