@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import fitting
 from bellows_ros.core.identification.estimate import MAX_NOISE_CHI2
 from bellows_ros.core.identification.fitting import HELD_OUT
-from bellows_ros.core.identification.result import Cause, DISTINCT, Fit, POSE_UNITS
+from bellows_ros.core.identification.result import Cause, Fit, MAJORITY, POSE_UNITS
 from bellows_ros.core.identification.unknowns import as_found, given_std, payload_of
 from bellows_ros.core.identification.validation import corner_scores, MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
@@ -170,7 +170,7 @@ class FitVerdict(NamedTuple):
         likely = [each for each in self.causing if each.name != 'unknown']
         is_sound = not self.contradicted and not self.wrong and (
             self.is_at_noise or self.simulated and not self.refusals and not (
-                likely and likely[0].share >= DISTINCT or self._is_misfit))
+                likely and likely[0].share >= MAJORITY or self._is_misfit))
         if is_sound:
             return ()
         listed = ' '.join(f'{number}. {text(each)}' for number, each in enumerate(

@@ -21,7 +21,7 @@ from bellows_ros.core.identification.estimate import (
     Solution,
 )
 from bellows_ros.core.identification.residuals import BLOCK_DURATION, Part
-from bellows_ros.core.identification.result import Cause, DISTINCT, MATERIAL
+from bellows_ros.core.identification.result import Cause, FALSE_ALARMS, MAJORITY, MATERIAL
 from bellows_ros.core.identification.segments import Segments
 from bellows_ros.core.identification.unknowns import Free, KINDS, MARKERS, weak_prior
 from bellows_ros.core.signals.residuals import AXES, spectrum
@@ -49,9 +49,6 @@ OF_CUP = ('length_drift', 'relaxation')
 REPORTED: Mapping[str, str] = {
     'mass': 'inertia', 'gravity': 'gravity.direction', 'tool_marker': 'package_marker'}
 """Names of findings that differ from the names of their candidates."""
-
-FALSE_ALARMS = 1e-4
-"""False-alarm rate of a candidate: one sound recording in a thousand has a cause."""
 
 SLIP_INSTANTS = 8
 """Number of first instants of a slip: its score falls linearly with the distance from them."""
@@ -128,7 +125,7 @@ def significant(found: Solution, given: Free) -> dict[str, float]:
 def limit_of(found: Solution, name: str) -> float:
     """Return the largest fall of chi² by chance with a free quantity."""
     numbers = KINDS[name].size * (len(found.problem.outlines) if KINDS[name].each else 1)
-    return float(chdtri(numbers, FALSE_ALARMS)) * max(found.colour, 1.0)
+    return float(chdtri(numbers, FALSE_ALARMS / len(CANDIDATES))) * max(found.colour, 1.0)
 
 
 def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
@@ -164,7 +161,7 @@ def _is_certain(best: Alternative, rivals: Mapping[str, float], given: Free) -> 
         after.fits and after.robust_chi2 < MAX_NOISE_CHI2
         and after.chi2 < MISFIT_CHI2
         and max((gain for name, gain in rivals.items() if name not in alike), default=0.0)
-        < DISTINCT * best.gain
+        < MAJORITY * best.gain
         and not significant(after, {name: std for name, std in given.items() if (
             name not in alike)}).keys() & given.keys())
 

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification import residuals
-from bellows_ros.core.identification.residuals import HUBER_STD, Part
+from bellows_ros.core.identification.residuals import Part
 from bellows_ros.core.identification.result import Arrow, CHANCE
 from bellows_ros.core.identification.segments import Course, Held, Segments
 from bellows_ros.core.identification.unknowns import Free, MIN_STRENGTH, Problem
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import Structure
+from bellows_ros.core.sensors.corners import USUAL_NOISE
 from bellows_ros.core.signals.resampling import MAD_TO_STD
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -40,9 +41,6 @@ NOISE_TOLERANCE = 0.03
 
 MAX_STEPS = 30, 20
 """Largest number of steps in the two stages; with a misfit the second has half as many."""
-
-USUAL_CORNER = 1e-3
-"""Largest error of a tag's corner by noise, rad: one to two pixels."""
 
 MAX_NOISE_CHI2 = 1.2
 """Largest chi^2 per difference attributed to noise, without a warning; also its largest growth in
@@ -65,9 +63,6 @@ standard errors by the colour of the residuals, which the misfit of rubber has."
 
 MAX_SMALL_RISE = 1.001
 """Ratio of two Huber's sums in the first stage that are equal, as priors may raise it a little."""
-
-MAX_STEP_DAMPING = 1e6
-"""Damping above which a search ends: a step then is below 1e-3 units of a search."""
 
 SHORTER = 0.25
 """Fraction of a step that is tried if chi² increases with the whole step."""
@@ -255,7 +250,7 @@ class Solution:
 def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> float:
     """Return `Solution.learned` of a recording."""
     if segments[0].views:
-        return max((course.corners.sigma / USUAL_CORNER) ** 2 * (not part.is_white)
+        return max((course.corners.sigma / (CHANCE * USUAL_NOISE.sigma)) ** 2 * (not part.is_white)
                    for course, part in zip(courses, parts, strict=True))
     return max((
         float(np.mean(share) / (1.0 + CHANCE * np.sqrt(2.0 / (3.0 * noise.independent))))
@@ -272,7 +267,7 @@ def _noise_in_motion(
     for segment, course, part in zip(segments, courses, parts, strict=True):
         if segment.views:  # in full, as what uses it gives large errors no lesser weight
             h = np.abs(innovations_of(parts))
-            raw = np.where(h > HUBER_STD, h**2 / HUBER_STD, h)
+            raw = np.where(h > CHANCE, h**2 / CHANCE, h)
             return np.asarray(np.sqrt(np.mean(raw**2)) * np.array(course.corners))
         if segment.is_slow and part.is_white:
             found = np.maximum(course.std, segment.package_noise.std)
@@ -305,11 +300,12 @@ def _near(at: Solution, report: Report) -> tuple[Solution, bool]:
     is_last, damping, used = False, DAMPING, np.ones(len(at.theta), dtype=bool)
     used[np.ravel(at.problem.places.get('exposure', ())).astype(int)] = False
     for _ in range(MAX_STEPS[0]):
-        if not at.is_finite or damping > MAX_STEP_DAMPING or (
-                at.chi2 < MISFIT_CHI2):
+        if not at.is_finite or at.chi2 < MISFIT_CHI2:
             break
         step = _damped_step(at, at.information.damped(damping), at.slope, used)
         length = _squared_length(at, step, at.information)
+        if damping > DAMPING and length < TOLERANCES[1]:
+            break
         new = _moved(at, step, renewed(at, False)[0])
         if new is None or not new.chi2 < MAX_SMALL_RISE * at.chi2:
             damping = max(10.0 * damping, DAMPING)
@@ -338,8 +334,7 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
     history, damping = list[tuple[Array, Array]](), 0.0
     used, best, least = np.ones(len(at.theta), dtype=bool), at, math.inf
     for number in range(MAX_STEPS[1]):
-        if not at.is_finite or damping > MAX_STEP_DAMPING or (
-                number >= MAX_STEPS[1] // 2 and at.robust_chi2 > MISFIT_CHI2):
+        if not at.is_finite or number >= MAX_STEPS[1] // 2 and at.robust_chi2 > MISFIT_CHI2:
             break
         courses, is_kept = renewed(at)
         step = _damped_step(at, at.information.damped(damping), at.slope, used)
@@ -383,7 +378,7 @@ def _renewed(
     if segments[0].views and not is_rough:
         corners, change = corners.estimated(
             np.concatenate([part.smear for part in parts]), np.mean(np.clip(
-                innovations_of(parts), -HUBER_STD, HUBER_STD) ** 2, axis=1))
+                innovations_of(parts), -CHANCE, CHANCE) ** 2, axis=1))
         if change < 2.0 * NOISE_TOLERANCE:
             corners, change = courses[0].corners, 0.0
     for segment, course, part in zip(segments, courses, parts, strict=True):

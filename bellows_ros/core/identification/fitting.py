@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
-import math
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -42,8 +41,10 @@ from bellows_ros.core.identification.least_squares import (
 from bellows_ros.core.identification.residuals import at_rest, by_noise
 from bellows_ros.core.identification.result import (
     CHANCE,
+    FALSE_ALARMS,
     Fit,
     inverted,
+    MAJORITY,
     MAX_RELATIVE_ERROR,
     not_identifiable,
     with_unidentifiable,
@@ -60,7 +61,6 @@ from bellows_ros.core.identification.segments import (
     whole_recordings,
 )
 from bellows_ros.core.identification.unknowns import (
-    DEFAULT_RATIO,
     Free,
     given_std,
     KINDS,
@@ -78,6 +78,7 @@ from bellows_ros.core.recording.recording import LOW_RATE_HZ, Recording
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
+from scipy.special import chdtri
 
 MAX_NOISY_ERROR = 0.1
 """
@@ -88,9 +89,8 @@ recordings K x or K rz was off by 6 to 1700 standard errors, and each standard e
 In a gripper the other cups damp each axis.
 """
 
-MIN_SQUARED_DISTANCE = -2.0 * math.log(1e-3)
-"""Smallest squared Mahalanobis distance of two significant parameters from zero; false-alarm rate
-1 in 1000."""
+MIN_SQUARED_DISTANCE = float(chdtri(2, FALSE_ALARMS))
+"""Smallest squared Mahalanobis distance of two significant parameters from zero."""
 
 MIN_MASS_RATIO = 1.3
 """Smallest ratio of two masses that separate bending from its stiffening by stretch."""
@@ -109,10 +109,6 @@ COMMON_WEIGHT = 10.0
 
 HELD_OUT = 5
 """Number of seconds of a recording per held-out second."""
-
-MAX_NOISE_SHARE = 0.5
-"""Share of noise in the information on K and P above which errors are taken tenfold: noise, not
-motion, decides then."""
 
 MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
@@ -264,12 +260,12 @@ def _extrapolates(end: Solution, without: Solution) -> bool:
 
 def _explains_most(end: Solution, without: Solution) -> bool:
     """
-    Return whether relaxation explains more than half of the misfit.
+    Return whether relaxation explains most of the misfit.
 
     Two time constants leave 39 % of the misfit of rubber with a loss factor of 0.1, without which
     the search does not converge.
     """
-    return end.chi2 - MAX_NOISE_CHI2 <= max(0.5 * (without.chi2 - MAX_NOISE_CHI2), 0.0)
+    return end.chi2 - MAX_NOISE_CHI2 <= max(MAJORITY * (without.chi2 - MAX_NOISE_CHI2), 0.0)
 
 
 def _of_given(found: Solution, given: Free) -> Array:
@@ -310,8 +306,8 @@ def covariance_of(found: Solution) -> tuple[Array, Array]:
     if count > 1:  # part of it is common to all directions
         scatter = scatter * count / (count - 1)
         scatter = (COMMON_WEIGHT * np.median(scatter) + count * scatter) / (COMMON_WEIGHT + count)
-    scatter = np.maximum(1.0, scatter if count > 1 else 1.0)
-    directions = directions / np.where(known > 1.0 - MAX_NOISE_SHARE, known, 0.1)
+    scatter = np.maximum(1.0, scatter if count > 1 else 1.0)  # tenfold errors if noise decides
+    directions = directions / np.where(known > 1.0 - MAJORITY, known, 0.1)
     covariance = (directions * scatter) @ directions.T
     variances = H.variances_with(covariance, float(np.median(scatter))) * problem.units**2
     slopes = problem.slopes(found.theta)
@@ -419,7 +415,7 @@ OF_LAW = 'relaxation', 'stretch'
 
 def _assumed(strengths: Array, covariance: Array) -> list[Finding]:
     """Return a finding if the prior gives the ratio of strengths of relaxation (2,)."""
-    ratio = np.array([-DEFAULT_RATIO, 1.0])
+    ratio = np.array([-1.0, 1.0])
     is_assumed = np.sqrt(ratio @ covariance @ ratio) > 0.7 * RATIO_STD * strengths[0]
     return [Finding('no_hold')] * bool(is_assumed)
 
@@ -571,7 +567,7 @@ def fit(
 
 def _require_motion(result: Fit) -> None:
     """Raise if the recordings determine no entry of P."""
-    largest = MAX_DAMPING_STD if result.method == 'output_error' else math.inf
+    largest = MAX_DAMPING_STD if result.method == 'output_error' else np.inf
     explained = max(result.chi2 or 0.0, result.robust_chi2 or 0.0) <= GROSS_CHI2 and not any(
         cause.certain for cause in result.causes)  # otherwise errors of the misfit
     certain = [label for label, value, std in zip(

@@ -21,7 +21,8 @@ from bellows_ros.core.geometry.lie import apply, log_so3
 from bellows_ros.core.identification.result import (
     Fit,
     inverted,
-    MAX_NOISE_SHARE,
+    MAJORITY,
+    MAX_CONDITION,
     MAX_RELATIVE_ERROR,
     not_identifiable,
     with_unidentifiable,
@@ -213,9 +214,6 @@ def envelope(
                     np.hstack([deflection.max(axis=0), rates, load]))
 
 
-NO_EFFECT = 1e-8
-"""Relative size, the root of rounding, of a column without effect, or of a variance of zero."""
-
 MOMENT_LEVER = 0.01
 """Lever with which moments are compared with forces, m: of the order of a cup's radius."""
 
@@ -337,7 +335,7 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
     freedom = 6.0 * sum(each.windows for each in parts) - len(x)
     covariance = inverse @ meat @ inverse * (6.0 * used / freedom if freedom > 0.0 else np.inf)
     energy = _energy_of_noise(parts, W)
-    is_identifiable = is_separable & (energy * np.diag(inverse) < MAX_NOISE_SHARE) & (
+    is_identifiable = is_separable & (energy * np.diag(inverse) < MAJORITY) & (
         np.sqrt(np.diag(covariance)) <= MAX_RELATIVE_ERROR * structure.sizes(
             *structure.matrices(x)))
     return Fit(
@@ -364,9 +362,9 @@ def regularised(covariance: Array) -> Array:
     scale = np.repeat([max(force, moment), max(moment, MOMENT_LEVER**2 * force)], 3)
     if not scale[0] > 0.0:
         return np.eye(6)
-    if np.linalg.eigvalsh(covariance / np.sqrt(np.outer(scale, scale)))[0] > NO_EFFECT:
+    if np.linalg.eigvalsh(covariance / np.sqrt(np.outer(scale, scale)))[0] > MAX_CONDITION**-2:
         return covariance
-    return np.asarray(covariance + NO_EFFECT * np.diag(scale))
+    return np.asarray(covariance + MAX_CONDITION**-2 * np.diag(scale))
 
 
 def _sizes_of_columns(normal: Array, structure: Structure) -> Array:
@@ -375,4 +373,4 @@ def _sizes_of_columns(normal: Array, structure: Structure) -> Array:
     angular = [(row > 2) + (column > 2) for row, column in structure.leads]
     kinds = np.array([*angular, *(3 + kind for kind in angular)])
     largest = np.array([sizes[kinds == kind].max() for kind in kinds])
-    return np.where(sizes > NO_EFFECT * largest, sizes, np.inf)
+    return np.where(sizes > largest / MAX_CONDITION, sizes, np.inf)

@@ -37,6 +37,7 @@ from bellows_ros.core.identification.unknowns import (
     gravity_of,
     payload_of,
     Problem,
+    QUANTITY_DIFFERENCE,
 )
 from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import model_tuple
@@ -151,12 +152,6 @@ START_STD = np.repeat([0.05, 0.3, 0.5, 3.0], 3)
 """Standard deviation of the package's first state about rest on the tool: wider than any swing,
 m, rad, m/s and rad/s."""
 
-QUANTITY_DIFFERENCE = 1e-3
-"""Steps of other unknowns for derivatives, in their units."""
-
-MAX_INTEGRATION_STEP = 0.005
-"""Longest step of the integrator, s: two steps between rows."""
-
 MIN_INTEGRATION_STEP = 2e-5
 """
 Shortest step of the integrator, s.
@@ -175,10 +170,6 @@ Ratio of the integrator's steps in a fit to the steps in a prediction.
 K and P of `bags/identification` change by less than 1e-4, 0.01 standard errors.
 """
 
-HUBER_STD = 3.0
-"""Size beyond which differences count linearly instead of quadratically (Huber), standard
-deviations."""
-
 PATH_PART = 0.5
 """Part by which the noise of the tool's path is renewed: errors that a step returns with a factor
 between -3 and 1, as the cup is not linear, then decay."""
@@ -187,11 +178,8 @@ BLOCK_DURATION = 1.0
 """Length of the parts of a recording whose information is stored, and of the zeros behind a
 series, s: some periods of a swing, which decays before the series begins again."""
 
-WHITE_SIGMAS = 4.0
-"""Largest correlation of white innovations, standard deviations; false-alarm rate 1 in 900."""
-
 MAX_WHITE_CORRELATION = 0.1
-"""Largest correlation of innovations that count as white."""
+"""Largest correlation of innovations that count as white, or chance if larger."""
 
 
 class Part(NamedTuple):
@@ -219,7 +207,7 @@ class Part(NamedTuple):
         e = np.clip(self.innovations, -CHANCE, CHANCE)
         correlation = [np.sum(e[lag:] * e[:-lag], axis=0) / np.sum(e**2, axis=0)
                        for lag in (1, 2, 3) if lag < len(e)]
-        limit = max(MAX_WHITE_CORRELATION, WHITE_SIGMAS / np.sqrt(len(e)))
+        limit = max(MAX_WHITE_CORRELATION, CHANCE / np.sqrt(len(e)))
         return bool(np.max(np.abs(correlation), initial=0.0) < limit)
 
 
@@ -233,7 +221,7 @@ def model_step(problem: Problem, theta: Array, segment: Segment) -> float:
             f'With this cup the simulation needs integration steps of {longest:.2g} s; at '
             f'least {shortest:.2g} s is expected. Check the units of package.mass, '
             'package.inertia, cup.stiffness and cup.damping.')
-    return min(longest, MAX_INTEGRATION_STEP)
+    return min(longest, 0.5 * ROW_NS / NS_PER_S)  # two steps between rows
 
 
 def _first_state(model: ModelTuple, tool: Array, change: Array) -> State:
@@ -427,7 +415,7 @@ def _part_of_poses(
         for path in filters.path]
     squares = values[known] ** 2
     total = np.mean(np.minimum(
-        squares, HUBER_STD**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
+        squares, CHANCE**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
     std = np.sqrt(np.maximum(total - filters.of_tool, 0.1 * total))
     return Part(
         innovations, e, filters.logs * len(known),
@@ -463,7 +451,7 @@ def _weighted(
     likeliest change of the first state, and the weights (N, 6).
     """
     with np.errstate(divide='ignore', invalid='ignore'):
-        weight = np.sqrt(np.minimum(1.0, HUBER_STD / np.abs(white)))
+        weight = np.sqrt(np.minimum(1.0, CHANCE / np.abs(white)))
     white, J = white * weight, J * weight[..., None]
     size = J.shape[2] - 12
     first, rest = J[..., size:].reshape(-1, 12), J[..., :size].reshape(-1, size)
@@ -497,11 +485,9 @@ def at_rest(problem: Problem, theta: Array) -> tuple[Array, Array, float]:
         return np.concatenate([_off_balance(problem, theta, still, middle) / np.maximum(
             np.repeat(still.error, 3), MIN_POSE_STD) for still in problem.standstills])
 
-    here, steps = balances(theta), np.full(len(theta), QUANTITY_DIFFERENCE)
-    steps[:problem.count] = DIFFERENCE
-    J = np.column_stack([
-        (here - balances(theta + step)) / length
-        for length, step in zip(steps, np.diag(steps), strict=True)])
+    here = balances(theta)
+    J = np.column_stack([(here - balances(theta + step)) / DIFFERENCE
+                         for step in DIFFERENCE * np.eye(len(theta))])
     chi2 = float(np.mean(here**2))
     weight = max(chi2, 1.0) ** -0.5
     return weight * J, weight * here, chi2

@@ -59,15 +59,16 @@ MAX_RELATIVE_ERROR = 0.5
 CHANCE = 3.0
 """Largest deviation by chance, standard deviations; false-alarm rate 1 in 370."""
 
-MAX_NOISE_SHARE = 0.5
-"""Largest share of noise in the information on an identifiable number, or in its error."""
+FALSE_ALARMS = 1e-3
+"""False-alarm rate of a test for an effect that changes the result: one sound fit in a
+thousand."""
 
 MATERIAL = 0.02
 """Smallest relative change of an entry of K that makes a cup wrong."""
 
-DISTINCT = 0.5
-"""Share of the misfit, and of the likeliest cause's share, above which a cause or its rival
-counts."""
+MAJORITY = 0.5
+"""Share above which one part decides: noise in information or in an error, a cause or an extension
+in a misfit, a rival in the likeliest cause."""
 
 
 class Cause(NamedTuple):
@@ -113,7 +114,7 @@ class Cause(NamedTuple):
         slip is harmless where K is equal without it.
         """
         return self.datum and (self.certain and self.name != 'slip' or (
-            self.share >= DISTINCT and self.moved > MATERIAL))
+            self.share >= MAJORITY and self.moved > MATERIAL))
 
 
 @dataclass(frozen=True, eq=False)

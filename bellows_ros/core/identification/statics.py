@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Places
+from bellows_ros.core.identification.result import FALSE_ALARMS
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import UndeterminedError, UnexplainedError
 import numpy as np
@@ -21,17 +22,8 @@ UPRIGHT_TOLERANCE = np.radians(2.0)
 MASSES_FOR_CUBIC = 5
 """Smallest number of different masses for a cubic of length against load (4.2)."""
 
-MIN_PROBABILITY = 0.01
-"""Probability of a chi^2 below which the errors do not explain it."""
-
 MAX_SCATTER = 0.25
 """Largest scatter about the line, relative to the elongation by the loads."""
-
-MIN_STIFFNESS = 100.0
-"""Smallest axial stiffness of cups, N/m."""
-
-MAX_STIFFNESS = 1e6
-"""Largest axial stiffness of cups, N/m."""
 
 MAX_LENGTH_STD = 1e-4
 """Largest acceptable standard error of the cup length, m."""
@@ -87,7 +79,7 @@ class CupLength(NamedTuple):
         numbers = {'size': float(np.sqrt(self.chi2 / max(count, 1))), 'by': by,
                    'load': float(self.loads.min())}
         return tuple(Finding(code, Level.WARN, numbers) for code, applies in (
-            ('wrong_mass', count and chdtrc(count, self.chi2) < MIN_PROBABILITY),
+            ('wrong_mass', count and chdtrc(count, self.chi2) < FALSE_ALARMS),
             ('uncertain_length', not self.length_std <= MAX_LENGTH_STD)) if applies)
 
 
@@ -128,7 +120,7 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
     pick = _pick_scatter(measured, groups)
     scattered = np.column_stack([loads, lengths, np.hypot(errors, np.nan_to_num(pick))])
     coefficients, std, chi2, degrees_of_freedom = _polynomial(scattered, 1)
-    if different >= MASSES_FOR_CUBIC and chdtrc(degrees_of_freedom, chi2) < MIN_PROBABILITY:
+    if different >= MASSES_FOR_CUBIC and chdtrc(degrees_of_freedom, chi2) < FALSE_ALARMS:
         coefficients, std, chi2, degrees_of_freedom = _polynomial(scattered, 3)
     fitted = polyval(loads, coefficients)
     scatter, stretch = float(np.sqrt(np.mean((lengths - fitted)**2))), float(np.ptp(fitted))
@@ -138,15 +130,9 @@ def cup_length_of(standstills: Sequence[Standstill], gravity: float) -> CupLengt
             f'lightest to the heaviest mass, {"up" if coefficients[1] > 0.0 else "down"}, and '
             f'the lengths scatter by {1e3 * scatter:.2g} mm about it. Check each mass, and that '
             'the poses are those of E and S.')
-    stiffness = float(1.0 / coefficients[1])
-    if not MIN_STIFFNESS < stiffness < MAX_STIFFNESS:
-        raise UndeterminedError(
-            f'From {loads.min():.4g} to {loads.max():.4g} N the cup is '
-            f'{1e3 * lengths.min():.2f} to {1e3 * lengths.max():.2f} mm long, a stiffness of '
-            f'{stiffness:.3g} N/m; expected {MIN_STIFFNESS:g} to {MAX_STIFFNESS:g}. Check each '
-            'mass (kg) and their order.')
     return CupLength(
-        float(coefficients[0]), std, chi2, degrees_of_freedom, stiffness,
+        float(coefficients[0]), std, chi2, degrees_of_freedom,
+        float(1.0 / coefficients[1]),
         loads, lengths, errors, coefficients, pick)
 
 

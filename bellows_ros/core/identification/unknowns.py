@@ -188,14 +188,9 @@ def as_found(recording: Recording, found: Free, number: int) -> Recording:
 MIN_STRENGTH = 1e-6
 """Smallest strength of relaxation in a search, as a branch of none has no strain."""
 
-TYPICAL_STRENGTH = 0.05
-"""Strength of relaxation of soft rubber."""
-
-DEFAULT_RATIO = 1.05
-"""Ratio r2 / r1 of rubber with a constant loss factor."""
-
 RATIO_STD = 0.4
-"""Standard deviation of the ratio r2 / r1 among rubbers."""
+"""Standard deviation of the ratio r2 / r1 among rubbers about 1, that of a constant loss
+factor."""
 
 WIDE_LOG_STD = 2.0
 """Standard deviation of the logarithms of K about the start, of
@@ -210,6 +205,10 @@ LOSS_FACTOR = 0.25
 DIFFERENCE = 1e-5
 """Steps of unknowns for derivatives, in logarithms and standard deviations of the first state: of
 the order of the root of rounding in poses."""
+
+QUANTITY_DIFFERENCE = DIFFERENCE / KINDS['mass'].unit
+"""Steps of other unknowns, in their units: with steps of mass, inertia, K and P by one factor, the
+derivatives cancel to rounding."""
 
 MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
@@ -510,9 +509,9 @@ class Problem:
         P = eye[half:self.count] - np.outer(is_axis, 0.5 * heavier) - 0.5 * eye[:half]
         yield P / DAMPING_LOG_STD, (P @ now - usual) / DAMPING_LOG_STD
         for place in self.places.get('relaxation', ()):  # the ratio of r2 and r1
-            r, ratio = self.extended('relaxation', theta), np.array([-DEFAULT_RATIO, 1.0])
-            std = RATIO_STD * max(r[0], TYPICAL_STRENGTH)
-            yield (ratio @ eye[place] * self.units[place[0]] / std)[None], ratio[None] @ r / std
+            r = self.extended('relaxation', theta)
+            std = RATIO_STD * max(r[0], KINDS['relaxation'].max_std)
+            yield (np.diff(eye[place], axis=0) * self.units[place[0]] / std, np.diff(r) / std)
 
 
 def _scaled(payload: Package, free: Free) -> Package:

@@ -117,10 +117,9 @@ def test_a_cup_with_which_a_package_would_need_endless_steps_is_no_cup(damping):
 def test_the_steps_of_a_fit_shift_its_poses_by_less_than_a_hundredth_of_their_noise(monkeypatch):
     problem = posed(measured(
         3, duration=4.0, tool_hz=100.0, package_hz=50.0, package_noise=(1e-4, 5e-4)))
-    parts, steps = [], (residuals.COARSE_FACTOR, residuals.MAX_INTEGRATION_STEP)
+    parts, step = [], residuals.model_step
     for ratio in (0.1, 1.0, 2.0):
-        for name, value in zip(('COARSE_FACTOR', 'MAX_INTEGRATION_STEP'), steps, strict=True):
-            monkeypatch.setattr(residuals, name, ratio * value)
+        monkeypatch.setattr(residuals, 'model_step', lambda *own, by=ratio: by * step(*own))
         parts.append(settled(problem, 1).innovations)
     fine, used, coarser = parts
     assert np.abs(used - fine).max() < 0.01 < np.abs(coarser - fine).max()

@@ -11,7 +11,7 @@ from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.recording.recording import Noise
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import Trajectory
-from bellows_ros.errors import BellowsError, UndeterminedError, UnexplainedError
+from bellows_ros.errors import BellowsError, UnexplainedError
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -164,11 +164,6 @@ def test_a_wrong_mass_is_noticed(count):
         [upright(x, m, error=2e-6) for x, m in zip(lengths, given, strict=True)], G)
     assert any(remark.code == 'wrong_mass' for remark in wrong.remarks)
     assert abs(wrong.length - 0.0481) < 3.0 * wrong.length_std
-
-
-def test_lengths_that_do_not_depend_on_the_load_are_refused():
-    with pytest.raises(UndeterminedError, match='Check each mass'):
-        cup_length_of([upright(0.0478, 1.8), upright(0.0479, 1800.0)], G)
 
 
 @functools.cache
