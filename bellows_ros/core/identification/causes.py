@@ -85,7 +85,7 @@ def causes_of(found: Solution, given: Free) -> tuple[Cause, ...]:
     falls = significant(found, given)
     if found.fits and not falls:
         return ()
-    if 'slip' not in found.problem.places:
+    if found.is_plausible and 'slip' not in found.problem.places:
         found, falls['slip'] = with_likeliest_slip(found)
     names = sorted(falls, key=lambda name: falls[name], reverse=True)[:2]
     if not found.is_plausible:  # scores about an implausible cup are unreliable
