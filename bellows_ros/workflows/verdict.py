@@ -364,12 +364,9 @@ def cause_finding(cause: Cause, given: Given) -> Finding:
     if name in ('com', 'length') and cause.instead:
         return Finding('length', Level.WARN, {'offset': abs(theta[-1])})
     if name in CORRECTED:
-        topic, unit, factor = CORRECTED[name]
-        sizes = ', '.join(f'{factor * abs(x):.3g} ± {factor * s:.2g} {unit}' for x, s in zip(
-            theta, std, strict=True) if abs(x) > SIGMAS * s) or 'little'
         return Finding('differs', Level.WARN, {
-            'off': f'off by {sizes}' + ', if package.mass is right' * (name == 'inertia'),
-            'found': _corrected(cause, given), 'share': share}, topic)
+            'off': _off(name, cause), 'found': _corrected(cause, given), 'share': share},
+            CORRECTED[name][0])
     numbers: dict[str, Any] = {'share': share}
     if theta:
         numbers |= {
@@ -390,6 +387,19 @@ def cause_finding(cause: Cause, given: Given) -> Finding:
             ', at {:.1f} to {:.1f} Hz'.format(*theta[2:4]) if is_band else '')}
     return Finding(name if name != 'unknown' else 'unknown_cause', Level.WARN, numbers,
                    given.get('topics.package_pose', ''))
+
+
+def _off(name: str, cause: Cause) -> str:
+    """Return by how much a given quantity is off, or else the mass beside an inertia."""
+    (_, unit, factor), theta, std, instead = CORRECTED[name], cause.theta, cause.std, ''
+    if name == 'inertia':  # logarithms of factors
+        instead = ', if package.mass is right'
+        if np.ptp(theta) < SIGMAS * np.max(std):
+            instead = f', or package.mass by {100.0 * abs(np.expm1(-np.mean(theta))):.3g} %'
+        theta, std = np.expm1(theta), np.exp(theta) * std
+    sizes = ', '.join(f'{factor * abs(x):.3g} ± {factor * s:.2g} {unit}' for x, s in zip(
+        theta, std, strict=True) if abs(x) > SIGMAS * s) or 'little'
+    return f'off by {sizes}{instead}'
 
 
 def _corrected(cause: Cause, given: Given) -> str:

@@ -11,7 +11,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.faults import recording_remarks
 from bellows_ros.report.findings import text
 from bellows_ros.workflows import verdict
-from bellows_ros.workflows.verdict import FitVerdict, Simulated
+from bellows_ros.workflows.verdict import cause_finding, FitVerdict, Simulated
 import numpy as np
 import pytest
 
@@ -57,6 +57,14 @@ def test_a_corrected_inertia_makes_the_mass_doubtful_and_is_a_finding(heavier, p
         'package.inertia': (np.ones(6), '120 %', pull)}).doubts
     assert len(found) == len(said)
     assert all(part in text(each) for part, each in zip(said, found, strict=True))
+
+
+@pytest.mark.parametrize(('factors', 'said'), [
+    ((10.0, 10.0, 10.0), 'off by 900 ± 10 %, 900 ± 10 %, 900 ± 10 %, or package.mass by 90 %'),
+    ((0.5, 1.0, 1.0), 'off by 50 ± 0.5 %, if package.mass is right')])
+def test_an_inertia_is_off_by_percents_or_the_mass_by_as_large_a_factor(factors, said):
+    cause = Cause('inertia', '', np.log(factors), np.full(3, 0.01))
+    assert said in text(cause_finding(cause, {'package.inertia': (1.0, 1.0, 1.0)}))
 
 
 @pytest.mark.parametrize(('certain', 'datum', 'share', 'refused'), [
