@@ -148,14 +148,13 @@ class Writer:
 def print_identification(result: 'Identification', out: Any) -> None:
     """Print the cup, with samples and findings."""
     fit, verdict = result.fit, result.verdict
-    if verdict:
-        out.paragraph(*map(text_of, (*verdict.cause, *verdict.doubts)))
+    out.paragraph(*map(text_of, (*verdict.cause, *verdict.doubts)))
     out.paragraph(*result.refusals, style='red')
     found = 'No cup' if result.refusals else 'Cup'
     out.line(f'{found} identified from {listed(result.bags)}', 'bold')
     out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     out.line()
-    for simulated in verdict.simulated if verdict else ():
+    for simulated in verdict.simulated:
         if np.isnan(simulated.rms).any():
             out.paragraph(f'The free simulation of {simulated.bag} with this cup diverges.')
             continue

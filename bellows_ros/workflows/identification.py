@@ -36,7 +36,7 @@ from bellows_ros.workflows.recordings import (
     values_of_each,
 )
 from bellows_ros.workflows.static import StaticResult
-from bellows_ros.workflows.verdict import estimates_of, FitVerdict, FREE_PARAMETERS
+from bellows_ros.workflows.verdict import estimates_of, FitVerdict, FREE_PARAMETERS, UNTESTED
 import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
@@ -72,8 +72,8 @@ class Identification(CommandResult):
         Result of the recordings of standstills, None without any.
     validations : tuple of Replay
         Recordings outside the fit, simulated with its cup.
-    verdict : FitVerdict or None
-        Quality of the cup and of the given quantities; None without an unreduced recording.
+    verdict : FitVerdict
+        Quality of the cup and of the given quantities; empty without an unreduced recording.
     failed : tuple of Failed
         Unusable recordings.
     assumed : tuple of str
@@ -87,7 +87,7 @@ class Identification(CommandResult):
     recordings: tuple[Recording, ...] = ()
     static: StaticResult | None = None
     validations: tuple['Replay', ...] = ()
-    verdict: FitVerdict | None = None
+    verdict: FitVerdict = UNTESTED
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
 
@@ -312,14 +312,13 @@ class Identification(CommandResult):
 
     def _fit_warnings(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless detected faults cause them."""
-        causes = self.verdict.causing[:1] if self.verdict else ()
-        if self.verdict and self.verdict.faults or any(cause.material for cause in causes):
+        causes = self.verdict.causing[:1]
+        if self.verdict.faults or any(cause.material for cause in causes):
             return ()
         is_explained = any(cause.certain for cause in causes)
-        misfit = (text_of(self.fit.misfit),) if self.fit.misfit and not is_explained else ()
-        if self.fit.usable and self.verdict and self.verdict.refusals:
-            return misfit
-        return (*map(text_of, self.fit.findings), *misfit)
+        findings = () if self.fit.usable and self.verdict.refusals else self.fit.findings
+        misfit = [self.fit.misfit] if self.fit.misfit and not is_explained else []
+        return tuple(map(text_of, (*findings, *misfit)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -390,7 +389,7 @@ class Identification(CommandResult):
     @property
     def refusals(self) -> tuple[str, ...]:
         """Reasons to reject the cup; empty for a usable one."""
-        doubts = self.verdict.refusals if self.verdict else ()
+        doubts = self.verdict.refusals
         return tuple(map(text_of, doubts if doubts or self.fit.usable else [Finding(
             'unusable', Level.ERROR, {
                 'name': 'what the warnings name', 'why': (
@@ -400,9 +399,9 @@ class Identification(CommandResult):
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError for a rejected cup; with force, only for a cup unable to predict."""
         if self.refusals and not (force and self.fit.usable):
-            causes = map(text_of, self.verdict.cause if self.verdict else ())
             more = () if self.fit.usable else (*self.assumed, *self._fit_warnings())
-            raise BellowsError(' '.join([*causes, *self.refusals, *more]))
+            raise BellowsError(' '.join([
+                *map(text_of, self.verdict.cause), *self.refusals, *more]))
 
     def header(self) -> list[str]:
         """Return the lines at the top of the cup file: the origin of its numbers."""

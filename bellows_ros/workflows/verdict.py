@@ -205,11 +205,15 @@ class FitVerdict(NamedTuple):
                  **entry(cause_finding(each, self.given))} for each in self.causing]}
 
 
+UNTESTED = FitVerdict((), (), Values({}))
+"""Verdict without a recording."""
+
+
 def verdict_of(
     fit: Fit, recordings: Sequence[Recording], length: float, values: Values,
-) -> FitVerdict | None:
+) -> FitVerdict:
     """
-    Return the verdict on a fit from some of its recordings, None without any.
+    Return the verdict on a fit from some of its recordings, `UNTESTED` without any.
 
     Parameters
     ----------
@@ -224,7 +228,7 @@ def verdict_of(
 
     """
     if not (tested := recordings[:MAX_TESTED]):
-        return None
+        return UNTESTED
     remarks = [remark for recording in tested for remark in recording.report.remarks]
     package, ratio, grown = tested[0].payload, 0.0, fit.nuisances.get('length', np.zeros((1, 1)))
     given = values.replaced({

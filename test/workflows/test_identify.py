@@ -73,12 +73,13 @@ def test_motion_capture_recording_of_the_rig(rig):
 def test_each_recording_may_have_its_own_topics(root, true_cup, tmp_path):
     """Take topics and axes of each recording from its file; the package's from there, too."""
     motion = YAML(typ='safe').load((root / 'bags/identification.yaml').read_text()) | {
-        'duration': 12.0, 'seed': 7, 'world': 'motive_y_up',
-        'topics': {'tool_pose': '/arm', 'package_pose': '/box'}}
+        'duration': 12.0, 'seed': 7, 'world': 'motive_y_up'}
     own = {'package.mass': 1.2, 'package.inertia': [0.003, 0.0045, 0.0068, 0.0, 0.0, 0.0],
            'package.com': [0.0, 0.0, -0.03], 'recording.package_frame': 'com'}
     bags = [str(root / 'bags/identification'), str(tmp_path / 'other')]
-    simulate_recording({**true_cup, **own}, motion, bags[1])
+    simulate_recording({**true_cup, **own}, motion, tmp_path / 'first')
+    streams = read_streams(tmp_path / 'first', {'/arm': '/tool_arm/pose', '/box': '/package/pose'})
+    write_bag(bags[1], [again(stream, topic) for topic, stream in streams.items()])
     write_parameters(tmp_path / 'other.yaml', {
         **own, 'topics.tool_pose': '/arm', 'topics.package_pose': '/box', 'topics.tool_twist': '',
         'recording.world': 'motive_y_up'}, [])
