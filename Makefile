@@ -83,8 +83,7 @@ reference: $(VENV)/ready  ## write docs/reference/ from the declarations
 
 .PHONY: pictures
 pictures: $(VENV)/ready  ## draw the pictures that no command on a page draws
-	@$(BIN)/python docs/figures/overview.py
-	@$(BIN)/python docs/figures/release.py
+	@$(BIN)/python docs/tools/pictures.py
 
 .PHONY: pages
 pages: $(VENV)/ready  ## run the commands on all pages, and write what they print and draw into them

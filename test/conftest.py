@@ -166,6 +166,23 @@ def true_cup(root):
 
 
 @pytest.fixture(scope='session')
+def known(root):
+    """Return the given quantities of the shipped recordings."""
+    from bellows_ros.files.parameter_files import read_parameters
+
+    return read_parameters(root / 'bags/package.yaml')
+
+
+@pytest.fixture(scope='session')
+def shipped(root, known, true_cup):
+    """Return the identification of the shipped recording, and the true cup."""
+    from bellows_ros.workflows.identify import identify
+
+    return identify({**known, 'bags': [str(root / 'bags/identification')],
+                     'fit.method': 'least_squares'}), true_cup
+
+
+@pytest.fixture(scope='session')
 def weights(tmp_path_factory, true_cup):
     """Return recordings of three standstills, one upright and two tilted, with their masses."""
     from bellows_ros.workflows.simulate import simulate_recording

@@ -1,20 +1,29 @@
 """
-Draw docs/images/overview.svg: tool arm, cup and package from the side, with their frames.
+Draw the pictures that no command on a page draws: `make pictures`.
 
-x points right and z up; a frame is an angle and an origin in this plane, its y points into the
-page.
+docs/images/overview.svg has tool arm, cup and package from the side, with their frames: x points
+right and z up; a frame is an angle and an origin in this plane, its y points into the page.
+
+docs/images/drops.svg has the real drops of each mass by the law fitted to the four other masses;
+the rows of the table in docs/evidence.md are printed.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
+import sys
 from typing import Any
 
-import matplotlib
-from matplotlib.figure import Figure
-import numpy as np
-from numpy.typing import NDArray
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
-IMAGE = Path(__file__).resolve().parents[1] / 'images' / 'overview.svg'
+from bellows_ros.core.toss.release_fit import fit_release  # noqa: E402
+import matplotlib  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+import numpy as np  # noqa: E402
+from numpy.typing import NDArray  # noqa: E402
+
+from test.core import drops  # noqa: E402, I100, I201
+
+IMAGES = Path(__file__).resolve().parents[1] / 'images'
 GREY, SOLID, RUBBER, PREDICTED = '#57606a', '#d8dee4', '#8c959f', '#0b62c4'
 AXES = {'x': '#d1443c', 'z': '#3f6fd8', 'origin': '#2e8b57'}
 
@@ -80,9 +89,8 @@ def draw_box(axes: Any, frame: Frame, x: tuple[float, float], z: tuple[float, fl
     axes.fill(*np.array(corners).T, facecolor=SOLID, edgecolor=GREY, linewidth=1.2)
 
 
-def main() -> None:
-    """Draw the picture."""
-    matplotlib.rcParams['svg.hashsalt'] = 'bellows_ros'
+def draw_overview() -> None:
+    """Draw tool arm, cup and package with their frames."""
     figure = Figure(figsize=(8.6, 4.1), facecolor='white')
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(aspect='equal', xlim=(-0.045, 0.555), ylim=(-0.028, 0.258))
@@ -107,8 +115,39 @@ def main() -> None:
         axes.text(0.306, height, head, color=colour, fontsize=12, fontweight='bold', va='center')
         axes.text(0.306, height - 0.013, text, color=GREY, fontsize=10.5, va='top')
     axes.text(0.306, -0.004, 'A: world, z up', color=GREY, fontsize=10.5, va='center')
-    figure.savefig(IMAGE, metadata={'Date': None})
+    figure.savefig(IMAGES / 'overview.svg', metadata={'Date': None})
+
+
+def draw_drops() -> None:
+    """Print a row and draw the heights for each mass left out."""
+    if not drops.SHARED.exists():
+        print(f'The measured drops are not here: {drops.SHARED.name}.')
+        return
+    figure = Figure(figsize=(8.6, 3.2), facecolor='white', layout='constrained')
+    panels = figure.subplots(1, 5, sharey=True)
+    data, by_mass = drops.real_drops()
+    for axes, (mass, own) in zip(panels, by_mass.items(), strict=True):
+        law = fit_release([drop for other, each in by_mass.items() if other != mass
+                           for drop in each]).law
+        misses = drops.misses(data, own, law)
+        position, velocity = np.sqrt(np.mean(misses[:, :2]**2, axis=0))
+        print(f'| {mass:.3f} kg | {1e3 * position:.2f} mm | {1e3 * velocity:.1f} mm/s | '
+              f'{1e3 * misses[:, 2].mean():.1f} ms |')
+        for drop in own:
+            height = data['package_z_m'][drops.index_of(data, drop)]
+            axes.plot(1e3 * data['time_s'], 1e3 * (height - height[:5].mean()), color='#8c959f')
+        height = drops.filtered(own[0], law, 0.0)[0]
+        axes.plot(1e3 * data['time_s'], 1e3 * (height - height[:5].mean()), '--', color='#0b62c4')
+        axes.set_title(f'{mass:.2f} kg: {1e3 * position:.2f} mm', fontsize=10)
+        axes.set_xlabel('after the valve, ms')
+    panels[0].set_ylabel('height, mm')
+    panels[0].plot([], [], color='#8c959f', label='measured')
+    panels[0].plot([], [], '--', color='#0b62c4', label='predicted')
+    panels[0].legend(frameon=False)
+    figure.savefig(IMAGES / 'drops.svg', metadata={'Date': None})
 
 
 if __name__ == '__main__':
-    main()
+    matplotlib.rcParams['svg.hashsalt'] = 'bellows_ros'
+    draw_overview()
+    draw_drops()
