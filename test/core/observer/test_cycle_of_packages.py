@@ -9,8 +9,7 @@ from benchmarks import cycles
 import numpy as np
 import pytest
 
-from .cases import CUP, observer, PACKAGE, truth, values
-from .cell import Cell, CONDITIONS, ORDINARY
+from .cases import Cell, CONDITIONS, CUP, observer, ORDINARY, PACKAGE, truth, values
 from .contact_cell import ContactCell
 
 STATE = states.STATE
