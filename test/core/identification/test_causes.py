@@ -88,7 +88,7 @@ def outcome(laboratory, cause):
         values = parameters(laboratory)
         length = values['cup.length']
         if wrong := [code for one in recordings for code in before_a_fit(one)]:
-            named = ' '.join(wrong)
+            named = ' '.join(wrong).replace('package_frame', 'package_marker')
             return 'right' if cause in named else 'wrong and certain', named
         found = fit(recordings, values)
         verdict = verdict_of(found, recordings, length, values)
