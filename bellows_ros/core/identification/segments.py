@@ -186,7 +186,9 @@ class Segment:
     @cached_property
     def bins_ns(self) -> Stamps:
         """Stamps of the bins, ns."""
-        first = int(max(self.rows_ns[0], self.package.stamps_ns[0]))
+        stamps = self.package.stamps_ns
+        first = int(stamps[np.searchsorted(stamps[:-1], self.rows_ns[0])]) + (
+            self.bin_ns - round(self.period * NS_PER_S)) // 2
         last = int(min(self.rows_ns[-1], self.package.stamps_ns[-1]))
         return np.arange(first, max(first, last) + self.bin_ns // 2 + 1, self.bin_ns)
 
