@@ -39,8 +39,9 @@ MAX_ANDERSON_WEIGHT = 0.9
 NOISE_TOLERANCE = 0.03
 """Relative change of the noise of slow poses below which the noise is kept."""
 
-MAX_STEPS = 30, 20
-"""Largest number of steps in the two stages; with a misfit the second has half as many."""
+MAX_STEPS = 60, 40
+"""Largest number of steps in the two stages, twice that of 7 of 8 full matrices from a diagonal
+start; with a misfit the second has half as many."""
 
 MAX_NOISE_CHI2 = 1.2
 """Largest chi^2 per difference attributed to noise, without a warning; also its largest growth in

@@ -296,8 +296,6 @@ def covariance_of(found: Solution) -> tuple[Array, Array]:
             [found.theta[problem.index(k)] for k in range(len(problem.outlines))],
             problem.held, found.courses)):
         of_motion.add(number, -noise)
-    known, turned = np.linalg.eigh(directions.T @ of_motion.reduced @ directions)
-    directions = directions @ turned
     counts, squares = zip(*found.parts.pool.results(
         _influences, list(map(H.block, range(len(problem.outlines)))),
         [np.vstack([directions, -carried @ directions]) for carried in H.carried],
@@ -306,8 +304,10 @@ def covariance_of(found: Solution) -> tuple[Array, Array]:
     if count > 1:  # part of it is common to all directions
         scatter = scatter * count / (count - 1)
         scatter = (COMMON_WEIGHT * np.median(scatter) + count * scatter) / (COMMON_WEIGHT + count)
-    scatter = np.maximum(1.0, scatter if count > 1 else 1.0)  # tenfold errors if noise decides
-    directions = directions / np.where(known > 1.0 - MAJORITY, known, 0.1)
+    scatter = np.maximum(1.0, scatter if count > 1 else 1.0)
+    known, axes = np.linalg.eigh(directions.T @ of_motion.reduced @ directions)
+    directions = directions @ (  # tenfold errors if noise decides
+        axes / np.where(known > 1.0 - MAJORITY, known, 0.1)) @ axes.T
     covariance = (directions * scatter) @ directions.T
     variances = H.variances_with(covariance, float(np.median(scatter))) * problem.units**2
     slopes = problem.slopes(found.theta)

@@ -130,9 +130,11 @@ def _responses(
         2j * np.pi * frequency)
     path: Any = segment.weights[:2] @ np.exp(segment.tool_period * np.outer(lags, iw))
     path[:, frequency > 0.5 / segment.tool_period] = 0.0
+    mean = np.sinc(frequency * segment.bin_ns / NS_PER_S) / np.sinc(
+        frequency * segment.period)  # of the poses of a bin
     iw = iw[:, None, None]
     G = np.linalg.solve(iw**2 * np.eye(6) - iw * by.body_twist - by.body_pose,
-                        path[0, :, None, None] * (by.tool_pose + iw * by.tool_twist))
+                        (mean * path[0])[:, None, None] * (by.tool_pose + iw * by.tool_twist))
     return np.asarray(G), np.asarray(path)
 
 
