@@ -8,9 +8,10 @@ identify` with given quantities that are wrong by their stated errors, and PATH/
 `kind`, `K` and `P` (6, 6); nan for an entry without a true value. For each kind of sensors the
 table lists the refused set-ups, and of the accepted ones the share of true values within 1, 2 and
 3 stated errors (0.68, 0.95 and 0.997 if these are true), the largest deviation, the mean deviation
-of each axis, the values that are not identifiable, chi², and the processor time of all. Deviations
-are in stated errors, which include those of the given quantities. Results are kept by the digest
-of the package's sources, so that an interrupted run continues.
+of each axis, the values that are not identifiable, the median ratio of stated error to the bound
+of `benchmarks.bound` (after this has run), chi², and the processor time of all. Deviations are in
+stated errors, which include those of the given quantities. Results are kept by the digest of the
+package's sources, so that an interrupted run continues.
 """
 
 import argparse
@@ -30,10 +31,12 @@ from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.workflows.identify import identify
+from benchmarks.bound import AXES as AXISYMMETRIC
 import numpy as np
 
 HEAD = ('| kind | | set-ups | refused | within 1, 2, 3 | largest | mean by axis | not claimed '
-        '| chi² median, max | CPU s median, max |\n|---|---|---|---|---|---|---|---|---|---|')
+        '| stated / bound | chi² median, max | CPU s median, max |\n'
+        '|---|---|---|---|---|---|---|---|---|---|---|')
 
 
 class Outcome(NamedTuple):
@@ -100,6 +103,16 @@ def kept(path: Path, folder: Path, seed: int) -> Outcome:
     return Outcome(**json.loads(file.read_text()))
 
 
+def over_bound(path: Path, outcome: Outcome, matrix: str) -> Array:
+    """Return the ratios of stated error to the bound, of claimed values; none without a bound."""
+    file = path / 'bounds' / f'{outcome.seed}.json'
+    if not file.exists() or outcome.axes != AXISYMMETRIC:
+        return np.empty(0)
+    std = np.array(getattr(outcome, f'{matrix}_std'))
+    ratios = std / np.array(json.loads(file.read_text())[matrix])
+    return ratios[np.isfinite(ratios)]
+
+
 def digest_of_package() -> str:
     """Return a digest of the package's sources and tables."""
     root, digest = Path(bellows_ros.__file__).parent, sha256()
@@ -117,7 +130,7 @@ def outcomes_of(
         yield from pool.map(kept, [path] * len(seeds), [folder] * len(seeds), seeds)
 
 
-def row(kind: str, matrix: str, outcomes: Sequence[Outcome]) -> str:
+def row(path: Path, kind: str, matrix: str, outcomes: Sequence[Outcome]) -> str:
     """Return the row of the table for K or P of one kind."""
     accepted = [each for each in outcomes if not each.refusal]
     deviations = np.array([each.deviations(matrix) for each in accepted]).reshape(-1, 6)
@@ -131,13 +144,15 @@ def row(kind: str, matrix: str, outcomes: Sequence[Outcome]) -> str:
     if judged.any():
         place, axis = np.unravel_index(np.nanargmax(sizes), sizes.shape)
         largest = f'{deviations[place, axis]:+.1f} ({accepted[place].seed} {AXES[axis]})'
+    ratios = np.concatenate([over_bound(path, each, matrix) for each in accepted] or [[]])
+    ratio = f'{np.median(ratios):.2f}' if ratios.size else 'none'
     chi2 = np.array([each.chi2 for each in accepted])
     chi2_text = f'{np.nanmedian(chi2):.2f}, {np.nanmax(chi2):.2f}' if len(chi2) else 'none'
     seconds = np.array([each.seconds for each in outcomes])
     return (f'| {kind} | {matrix} | {len(outcomes)} | {len(outcomes) - len(accepted)} '
             f'| {within} of {judged.sum()} | {largest} | {means} '
             f'| {sum(each.unclaimed(matrix) for each in accepted)} '
-            f'| {chi2_text} | {np.median(seconds):.1f}, {seconds.max():.1f} |')
+            f'| {ratio} | {chi2_text} | {np.median(seconds):.1f}, {seconds.max():.1f} |')
 
 
 def line(outcome: Outcome) -> str:
@@ -173,7 +188,7 @@ def main() -> None:
     print(HEAD)
     for kind in sorted({each.kind for each in outcomes}):
         for matrix in 'KP':
-            print(row(kind, matrix, [each for each in outcomes if each.kind == kind]))
+            print(row(given.path, kind, matrix, [each for each in outcomes if each.kind == kind]))
 
 
 if __name__ == '__main__':

@@ -27,16 +27,18 @@ def test_short_form_measures(section):
     assert all(min(times) > 0.0 for times in command.SECTIONS[section](True).values())
 
 
-def test_table_counts_accepted_values_by_stated_errors():
+def test_table_counts_accepted_values_by_stated_errors(tmp_path):
     """Of a refused set-up, an unclaimed value and one without truth nothing counts."""
     of_all = {'axes': (0, 2, 3, 5), 'chi2': 1.0, 'K_true': (1.0, 2.0, 3.0, np.nan)}
     accepted = Outcome(7, 'robot', 2.0, '', K=(1.5, 0.0, 9.0, 9.0),
                        K_std=(1.0, 0.8, np.inf, 1.0), **of_all)
     refused = Outcome(8, 'robot', 4.0, 'no', K=(9.0,) * 4, K_std=(1.0,) * 4, **of_all)
-    cells = [cell.strip() for cell in row('robot', 'K', [accepted, refused]).split('|')]
+    (tmp_path / 'bounds').mkdir()
+    (tmp_path / 'bounds/7.json').write_text('{"K": [0.5, 0.4, 1.0, 0.8]}')
+    cells = [cell.strip() for cell in row(tmp_path, 'robot', 'K', [accepted, refused]).split('|')]
     assert cells[1:-1] == [
         'robot', 'K', '2', '1', '0.50, 0.50, 1.00 of 2', '-2.5 (7 z)', 'x +0.5, z -2.5', '1',
-        '1.00, 1.00', '3.0, 4.0']
+        '2.00', '1.00, 1.00', '3.0, 4.0']
 
 
 @pytest.mark.skipif(not COMPILED, reason='numba is not installed: this takes minutes')
