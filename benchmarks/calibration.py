@@ -48,7 +48,7 @@ class Outcome(NamedTuple):
     """Processor time, s."""
     refusal: str
     """First reason of a refusal, '' for an accepted cup."""
-    axes: tuple[int, ...] = ()
+    axes: Sequence[int] = ()
     chi2: float = np.nan
     K: tuple[float, ...] = ()
     K_std: tuple[float, ...] = ()
@@ -106,7 +106,7 @@ def kept(path: Path, folder: Path, seed: int) -> Outcome:
 def over_bound(path: Path, outcome: Outcome, matrix: str) -> Array:
     """Return the ratios of stated error to the bound, of claimed values; none without a bound."""
     file = path / 'bounds' / f'{outcome.seed}.json'
-    if not file.exists() or outcome.axes != AXISYMMETRIC:
+    if not file.exists() or tuple(outcome.axes) != AXISYMMETRIC:
         return np.empty(0)
     std = np.array(getattr(outcome, f'{matrix}_std'))
     ratios = std / np.array(json.loads(file.read_text())[matrix])

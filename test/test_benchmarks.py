@@ -29,7 +29,7 @@ def test_short_form_measures(section):
 
 def test_table_counts_accepted_values_by_stated_errors(tmp_path):
     """Of a refused set-up, an unclaimed value and one without truth nothing counts."""
-    of_all = {'axes': (0, 2, 3, 5), 'chi2': 1.0, 'K_true': (1.0, 2.0, 3.0, np.nan)}
+    of_all = {'axes': [0, 2, 3, 5], 'chi2': 1.0, 'K_true': (1.0, 2.0, 3.0, np.nan)}
     accepted = Outcome(7, 'robot', 2.0, '', K=(1.5, 0.0, 9.0, 9.0),
                        K_std=(1.0, 0.8, np.inf, 1.0), **of_all)
     refused = Outcome(8, 'robot', 4.0, 'no', K=(9.0,) * 4, K_std=(1.0,) * 4, **of_all)
