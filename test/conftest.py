@@ -224,6 +224,16 @@ def user_environment():
     return environment
 
 
+@pytest.fixture
+def handlers():
+    """Restore the handlers of signals."""
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = {number: signal.getsignal(number) for number in numbers}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @dataclass(frozen=True)
 class Ros:
     """

@@ -1,23 +1,25 @@
 """
 Output that is written whole or not at all: in a folder beside its target, then renamed.
 
-A process that is killed leaves the old output or the new one, and at most a hidden folder beside
-it. A link is followed.
+An error or a signal leaves the old output or the new one. A process that is killed leaves at most
+a hidden folder beside it, which has the old folder if there is no other. A link is followed.
 """
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
+import secrets
 import shutil
 import sys
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File
 
 PREFIX = '.bellows-'
+REPLACED = f'{PREFIX}replaced'
+"""Name of a replaced folder in the hidden one."""
 STDOUT = '-'
 """Name of standard output."""
 
@@ -76,18 +78,44 @@ def whole(path: File, is_folder: bool = False) -> Iterator[Path]:
     """
     target = require_target(path, is_folder)
     try:
-        with TemporaryDirectory(
-                prefix=PREFIX, dir=target.parent, ignore_cleanup_errors=True) as work:
-            new = Path(work, target.name)
+        with _workplace(target) as work:
+            new = work / target.name
             yield new
             for file in new.iterdir() if is_folder else [new]:
                 with file.open('rb') as stream:
                     os.fsync(stream.fileno())
             if is_folder and target.exists():
-                os.rename(target, Path(work, 'replaced'))
+                os.rename(target, work / REPLACED)
             os.replace(new, target)
     except OSError as error:
         raise _failed(path, error) from None
+
+
+@contextmanager
+def _workplace(target: Path) -> Iterator[Path]:
+    """Provide a hidden folder beside a target, for the time of an error or a signal too."""
+    work = target.with_name(PREFIX + secrets.token_hex(8))
+    try:
+        work.mkdir(mode=0o700)
+        yield work
+    finally:
+        try:
+            _clear(work, target)
+        finally:  # again, since a signal may have ended the first call
+            _clear(work, target)
+
+
+def _clear(work: Path, target: Path) -> None:
+    """Rename a replaced folder back if its target is missing; remove the hidden folder."""
+    replaced = work / REPLACED
+    if replaced.exists() and not target.exists():
+        try:
+            os.rename(replaced, target)
+        except OSError as error:
+            raise BellowsError(
+                f"Output '{target}' can neither be written nor be restored: {error.strerror}. "
+                f"What was there is in '{replaced}': rename it.") from None
+    shutil.rmtree(work, ignore_errors=True)
 
 
 def require_target(path: File, is_folder: bool = False) -> Path:

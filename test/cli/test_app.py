@@ -173,16 +173,6 @@ def test_a_signal_ends_in_order(number, said, workshop, tmp_path, user_environme
     assert contents(tmp_path) == before
 
 
-@pytest.fixture
-def handlers():
-    """Restore the handlers of signals."""
-    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-    before = {number: signal.getsignal(number) for number in numbers}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
 @pytest.mark.parametrize('error', [
     None, SystemError('CPUDispatcher(whiten)'), BellowsError('wrong'), BrokenPipeError(32, 'pipe'),
     ValueError('a defect'), SystemExit(1), MemoryError()], ids=repr)

@@ -8,18 +8,21 @@ written once.
 """
 
 from contextlib import contextmanager
+import errno
 from itertools import cycle
 import json
 import os
 from pathlib import Path
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
 
 from bellows_ros.errors import BellowsError
+from bellows_ros.exits import stopped_by_signals
 from bellows_ros.files.atomic import PREFIX, require_target, whole, write_bytes, write_text
 from bellows_ros.files.bags import as_messages, write_bag
 from bellows_ros.files.results import write_json
@@ -181,6 +184,55 @@ def test_a_full_disk_leaves_the_old_output_or_none(name, is_replaced, tmp_path):
             WRITERS[name](place / name, 1)
         assert content(place / name) == (contents[0] if is_replaced else None)
         assert [path.name for path in place.iterdir()] == [name] * is_replaced
+
+
+CALLS = ['os.fsync', 'os.rename', 'os.replace', 'shutil.rmtree']
+"""Calls that write and replace a folder, in their order."""
+
+
+@pytest.mark.parametrize('fault', ['error', 'signal before', 'signal after'])
+@pytest.mark.parametrize('call', CALLS)
+def test_a_fault_at_any_call_leaves_the_old_folder_or_the_new_one(
+        call, fault, tmp_path, monkeypatch, handlers):
+    """And nothing beside it; the first attempt to clear the temporary folder fails too."""
+    contents, module = both(tmp_path, 'mcap'), {'os': os, 'shutil': shutil}[call.split('.')[0]]
+    name = call.split('.')[1]
+    real, calls = getattr(module, name), list[object]()
+
+    def faulty(*arguments, **options):
+        if tmp_path / 'mcap' in arguments or len(arguments) == 1:  # not within rosbags
+            calls.append(arguments)
+        is_first = calls == [arguments]
+        if is_first and fault == 'error':
+            raise OSError(errno.EIO, 'Input/output error')
+        if is_first and fault == 'signal before':
+            signal.raise_signal(signal.SIGTERM)
+        real(*arguments, **options)
+        if is_first and fault == 'signal after':
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(module, name, faulty)
+    raised = BellowsError if fault == 'error' else KeyboardInterrupt
+    with pytest.raises(raised), stopped_by_signals():
+        WRITERS['mcap'](tmp_path / 'mcap', 0)
+        if fault == 'error' and call == 'shutil.rmtree':  # passed over: the output is whole
+            raise BellowsError
+    is_new = call == 'shutil.rmtree' or (call, fault) == ('os.replace', 'signal after')
+    assert calls and content(tmp_path / 'mcap') == contents[0 if is_new else 1]
+    assert os.listdir(tmp_path) == ['mcap']
+
+
+def test_a_folder_that_cannot_be_renamed_back_is_kept_and_named(tmp_path, monkeypatch):
+    old, rename, replace = both(tmp_path, 'mcap')[1], os.rename, os.replace
+    with monkeypatch.context() as broken:
+        broken.setattr(os, 'rename', lambda source, target: rename(
+            source, target if source == tmp_path / 'mcap' else tmp_path / 'no' / 'where'))
+        broken.setattr(os, 'replace', lambda source, target: replace(
+            source, target / 'no' if target == tmp_path / 'mcap' else target))
+        with pytest.raises(BellowsError, match='nor be restored') as raised:
+            WRITERS['mcap'](tmp_path / 'mcap', 0)
+    kept, = tmp_path.glob(f'{PREFIX}*/{PREFIX}*')
+    assert str(kept) in str(raised.value) and content(kept) == old
 
 
 def main():
