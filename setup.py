@@ -76,10 +76,10 @@ setup(
     package_data={PACKAGE: [
         'py.typed', '**/*.toml']},
     python_requires='>=3.11',
-    # rosbags 0.11.7 is the first that brings lz4 and zstd.
+    # rosbags 0.11.7 is the first that brings lz4 and zstd; clib has the parser in C.
     install_requires=[
         'numpy>=1.26', 'scipy>=1.11', 'rosbags>=0.11.7', 'ruamel.yaml>=0.17.21',
-        'click>=8.1', 'rich>=13.7'],
+        'ruamel.yaml.clib>=0.2.8', 'click>=8.1', 'rich>=13.7'],
     extras_require=EXTRAS,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

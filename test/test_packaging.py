@@ -75,7 +75,7 @@ def test_wheel_holds_the_package_and_its_share_and_no_tests(wheel, root, tmp_pat
     assert str(metadata.metadata.get_payload()).startswith('# bellows_ros')
     hard = {need for need in metadata.requires or () if 'extra' not in need}
     assert {need.split('>')[0] for need in hard} == {
-        'numpy', 'scipy', 'rosbags', 'ruamel.yaml', 'click', 'rich'}
+        'numpy', 'scipy', 'rosbags', 'ruamel.yaml', 'ruamel.yaml.clib', 'click', 'rich'}
 
 
 @pytest.fixture

@@ -4,9 +4,8 @@ Safe YAML: plain data, no tags, anchors, duplicate or merge keys, errors with th
 Values are those of ROS: 1e-05 is a number, yes and on are true, 2024-05-01 and 1:30 are texts.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,14 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import read_text
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    MappingEndEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+    StreamEndEvent,
+)
 
 MAX_FILE_BYTES = 2**28
 NUMERIC = frozenset('-+.0123456789')
@@ -53,8 +60,7 @@ def load(path: Path) -> Any:
     text = read_text(path, MAX_FILE_BYTES).removesuffix('---\n')  # end of a printed message
     content = Content(path)
     try:
-        node = YAML(typ='safe').compose(text)
-        value = _value(node, text, content.lines, ()) if node else None
+        value = _document(YAML(typ='safe').parse(text), content.lines)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f', line {mark.line + 1}' if mark else ''
@@ -67,40 +73,66 @@ def load(path: Path) -> Any:
     return value
 
 
-def _value(node: Any, text: str, lines: dict[tuple[str, ...], int], keys: tuple[str, ...]) -> Any:
-    """Return the value of a node, and add the lines of the keys in it."""
-    if text[node.start_mark.index:node.start_mark.index + 1] in ('&', '!'):
-        raise _refused('tags (!name) and anchors (&name) are not allowed', node)
-    if node.id == 'scalar':
-        return node.value if node.style else plain(node.value)
-    if node.id == 'sequence':
-        parent, last = keys[:-1], keys[-1] if keys else ''
-        for number, item in enumerate(node.value):
-            lines[*parent, f'{last}[{number}]'] = item.start_mark.line + 1
-        return [_value(item, text, lines, (*parent, f'{last}[{number}]'))
-                for number, item in enumerate(node.value)]
-    found: dict[Any, Any] = {}
-    for key, item in node.value:
-        if key.id != 'scalar' or key.value == '<<' and not key.style:
-            raise _refused('a key must be a plain name; merge keys (<<) are not allowed', key)
-        name = _value(key, text, lines, keys)
-        if name in found:
-            raise _refused(f"key '{key.value[:80]}' is given twice", key)
-        inner = (*keys, key.value)
-        lines[inner] = key.start_mark.line + 1
-        found[name] = _value(item, text, lines, inner)
+def _document(events: Iterator[Any], lines: dict[tuple[str, ...], int]) -> Any:
+    """Return the value of the only document in the events of a file, and add its lines."""
+    next(events)  # the start of the file
+    if isinstance(next(events), StreamEndEvent):
+        return None
+    value = _value(next(events), events, lines, ())
+    next(events)  # the end of the document
+    if not isinstance(other := next(events), StreamEndEvent):
+        raise _refused('expected one document, got another document', other)
+    return value
+
+
+def _value(event: Any, events: Iterator[Any], lines: dict[tuple[str, ...], int],
+           keys: tuple[str, ...]) -> Any:
+    """Return the value that begins with an event, and add the lines of the keys in it."""
+    if isinstance(event, AliasEvent) or event.anchor or event.tag:
+        raise _refused('tags (!name), anchors (&name) and aliases (*name) are not allowed', event)
+    if isinstance(event, ScalarEvent):
+        return event.value if event.style else plain(event.value)
+    if isinstance(event, SequenceStartEvent):
+        return _items(events, lines, keys)
+    return _members(events, lines, keys)
+
+
+def _items(events: Iterator[Any], lines: dict[tuple[str, ...], int],
+           keys: tuple[str, ...]) -> list[Any]:
+    """Return the items of a sequence up to its end, and add their lines."""
+    found, parent, last = list[Any](), keys[:-1], keys[-1] if keys else ''
+    while not isinstance(event := next(events), SequenceEndEvent):
+        own = (*parent, f'{last}[{len(found)}]')
+        lines[own] = event.start_mark.line + 1
+        found.append(_value(event, events, lines, own))
     return found
 
 
-def _refused(why: str, node: Any) -> MarkedYAMLError:
-    return MarkedYAMLError(problem=why, problem_mark=node.start_mark)
+def _members(events: Iterator[Any], lines: dict[tuple[str, ...], int],
+             keys: tuple[str, ...]) -> dict[Any, Any]:
+    """Return the members of a mapping up to its end, and add their lines."""
+    found = dict[Any, Any]()
+    while not isinstance(key := next(events), MappingEndEvent):
+        if not isinstance(key, ScalarEvent) or key.value == '<<' and not key.style:
+            raise _refused('a key must be a plain name; merge keys (<<) are not allowed', key)
+        name = _value(key, events, lines, keys)
+        if name in found:
+            raise _refused(f"key '{key.value[:80]}' is given twice", key)
+        own = (*keys, key.value)
+        lines[own] = key.start_mark.line + 1
+        found[name] = _value(next(events), events, lines, own)
+    return found
+
+
+def _refused(why: str, event: Any) -> MarkedYAMLError:
+    return MarkedYAMLError(problem=why, problem_mark=event.start_mark)
 
 
 def plain(text: str) -> Any:
     """Return the value of a text without quotes."""
     if text[:1] in NUMERIC:
-        number = text.lower().replace('.inf', 'inf').replace('.nan', 'nan')
-        for kind in (partial(int, base=0), float):
-            with suppress(ValueError):
-                return kind(number)
+        with suppress(ValueError):
+            return float(text) if '.' in text else int(text, base=0)
+        with suppress(ValueError):
+            return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan'))
     return _WORDS.get(text, text)
