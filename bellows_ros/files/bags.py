@@ -8,7 +8,7 @@ of a written one depend only on content, name and version of rosbags.
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack, suppress
 import heapq
 from itertools import repeat
 import os
@@ -20,11 +20,17 @@ from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError, shown
-from bellows_ros.files import atomic, File, messages
+from bellows_ros.files import atomic, File, messages, read_text
+from bellows_ros.files.decompression import bound_rosbags, require_bounded
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from ruamel.yaml import YAML
+
+bound_rosbags()
 
 METADATA = 'metadata.yaml'
+MAX_METADATA = 2**26
+"""Largest size of a metadata.yaml, bytes."""
 
 Stream = PoseStream | TwistStream
 
@@ -48,26 +54,36 @@ class Contents(NamedTuple):
 def _opened(path: File) -> Iterator[Reader]:
     """Provide an opened recording; raise for one that is not whole."""
     bag = Path(path)
-    try:
-        if not bag.exists():
-            raise BellowsError(f"Recording '{shown(str(bag), 200)}' does not exist. Give a "
-                               'rosbag2 folder, or a .mcap or .db3 file.')
-        if bag.is_dir() and not (bag / METADATA).exists():
-            inner = ', '.join(each.parent.name for each in sorted(bag.glob(f'*/{METADATA}')))
-            raise BellowsError(f"Folder '{bag}' has no {METADATA}: " + (
-                f'it holds recordings, {shown(inner, 1000)}. Give one of them.' if inner else
-                "it is no recording, or its recorder has crashed. Run 'ros2 bag reindex' on it."))
-        _require_closed(bag)
-        reader = Reader(bag)
-        reader.open()
-    except BellowsError:
-        raise
-    except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
-        raise _damaged(bag, error) from None
-    try:
+    with ExitStack() as stack:
+        try:
+            _require_recording(bag)
+            _require_closed(bag)
+            if bag.is_dir():
+                _require_lists(bag)
+            reader = Reader(bag)
+            reader.open()
+            stack.callback(reader.close)
+            _require_types(reader)
+        except BellowsError:
+            raise
+        except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
+            raise _damaged(bag, error) from None
         yield reader
-    finally:
-        reader.close()
+
+
+def _require_recording(bag: Path) -> None:
+    """Raise for a path or folder without a recording, and for pipes, whose reading may not end."""
+    if not bag.exists():
+        raise BellowsError(f"Recording '{shown(str(bag), 200)}' does not exist. Give a "
+                           'rosbag2 folder, or a .mcap or .db3 file.')
+    if bag.is_dir() and not (bag / METADATA).exists():
+        inner = ', '.join(each.parent.name for each in sorted(bag.glob(f'*/{METADATA}')))
+        raise BellowsError(f"Folder '{bag}' has no {METADATA}: " + (
+            f'it holds recordings, {shown(inner, 1000)}. Give one of them.' if inner else
+            "it is no recording, or its recorder has crashed. Run 'ros2 bag reindex' on it."))
+    for file in bag.iterdir() if bag.is_dir() else [bag]:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise _damaged(bag, f"'{file.name}' is no plain file")
 
 
 def _require_closed(bag: Path) -> None:
@@ -85,6 +101,33 @@ def _require_closed(bag: Path) -> None:
             raise _damaged(bag, f'{file.name} was not closed, or its end is missing')
 
 
+def _require_lists(bag: Path) -> None:
+    """
+    Raise for a metadata.yaml in which files are no list, or a file is listed repeatedly.
+
+    Each entry would be expanded; rosbags itself refuses what is missing or not YAML.
+    """
+    with suppress(KeyError, TypeError):
+        content = YAML(typ='safe').load(read_text(bag / METADATA, MAX_METADATA))
+        information = content['rosbag2_bagfile_information']
+        names = Counter(Path(name).name for name in information['relative_file_paths'])
+        for name, count in names.items():
+            if count > 1:
+                raise ValueError(f"{METADATA} lists '{name}' {count} times")
+        if not isinstance(information.get('files', []), list):
+            raise ValueError(f'{METADATA} has files that are no list')
+
+
+def _require_types(reader: Reader) -> None:
+    """Raise for topics or counts of a wrong type, from metadata.yaml or a database."""
+    for own in reader.connections:
+        if not (isinstance(own.topic, str) and isinstance(own.msgtype, str)):
+            raise TypeError(f'a topic is named {own.topic!r}, of type {own.msgtype!r}')
+    for count in (reader.message_count, *(own.msgcount for own in reader.connections)):
+        if not isinstance(count, int):
+            raise TypeError(f'a number of messages is {count!r}')
+
+
 def _damaged(bag: object, reason: object) -> BellowsError:
     """Return the error for a recording that cannot be read."""
     name, why = shown(str(bag), 200), shown(str(reason).rstrip('.') or 'damage', 300)
@@ -98,14 +141,23 @@ def _stored(
 ) -> Iterator[tuple[Any, int, bytes]]:
     """Yield the messages of topics selected by name and type: connection, log time (ns), bytes."""
     count, chosen = 0, [each for each in reader.connections if wanted(each.topic, each.msgtype)]
+    size, expanded = _size(Path(str(reader.path))), 0
     try:
-        for each in reader.messages(chosen) if chosen else ():
-            yield each
+        for connection, log_time_ns, data in reader.messages(chosen) if chosen else ():
+            if not isinstance(data, bytes) or not abs(log_time_ns) < 2**63:
+                raise TypeError(f'a message at {shown(log_time_ns)} is no message')
+            require_bounded(expanded := expanded + len(data), size)
+            yield connection, log_time_ns, data
             count += 1
     except Exception as error:  # noqa: BLE001 (damaged bytes make readers raise anything)
         raise _damaged(reader.path, f'{error}, after {count} messages') from None
     if count < (stated := sum(each.msgcount for each in chosen)):
         raise _damaged(reader.path, f'its index lists {stated} messages, but {count} are there')
+
+
+def _size(bag: Path) -> int:
+    """Return the size of a recording's files, bytes."""
+    return sum(each.stat().st_size for each in (bag.iterdir() if bag.is_dir() else [bag]))
 
 
 def _topics(reader: Reader) -> list[TopicCount]:

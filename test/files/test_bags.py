@@ -1,13 +1,19 @@
 """Recordings of rosbags in all storages and compressions: whole, damaged and written ones."""
 
+from contextlib import closing
 import json
+import os
 import re
+import sqlite3
 import time
+import tracemalloc
 
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.trajectory import PoseStream, TwistStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import as_messages, read_streams, STORAGES, topics, write_bag
+from bellows_ros.files.decompression import ExpansionError, largest, of_lz4, of_zstd, zstd
+import lz4.frame
 import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
@@ -295,3 +301,79 @@ def test_what_cannot_be_recorded_is_refused(tmp_path):
     with pytest.raises(BellowsError):
         write_bag(tmp_path / 'none' / 'b', [recorded()])
     assert list(tmp_path.iterdir()) == []
+
+
+BOMB = bytes(2**27)
+"""Content that is a thousandth as large when compressed."""
+
+
+def write_bomb(kind, path):
+    """Write a small recording that expands without bound."""
+    storage, compression = kind.split()
+    several = [(made.EPOCH_NS + k, BOMB[:2**24]) for k in range(6)]
+    messages = several if compression == 'messages' else [(made.EPOCH_NS, BOMB)]
+    one_topic(path, messages, storage=storage, compression={
+        'messages': 'MESSAGE', 'message': 'MESSAGE', 'file': 'FILE', 'chunk': 'STORAGE',
+        'index': 'STORAGE'}[compression])
+    if compression == 'index':  # without one
+        file = made.storage_file(path)
+        data = file.read_bytes()
+        file.write_bytes(data[:-28] + bytes(20) + data[-8:])
+
+
+@pytest.mark.parametrize('kind', [
+    'sqlite3 message', 'sqlite3 messages', 'sqlite3 file', 'mcap message', 'mcap file',
+    'mcap chunk', 'mcap index'])
+def test_a_recording_that_expands_without_bound_is_refused_with_the_sizes(kind, tmp_path):
+    write_bomb(kind, tmp_path / 'b')
+    size = sum(file.stat().st_size for file in (tmp_path / 'b').iterdir())
+    assert size < len(BOMB) / 500
+    tracemalloc.start()
+    try:
+        message = error_of(tmp_path / 'b')
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    compressed, most = map(int, re.search(
+        r'([0-9]+) bytes expand to more than ([0-9]+)', message).groups())
+    assert compressed <= size and most == largest(compressed) and peak < 3 * most
+
+
+@pytest.mark.parametrize(('compress', 'read'), [
+    (zstd.compress, of_zstd), (lz4.frame.compress, of_lz4)], ids=['zstd', 'lz4'])
+def test_frames_are_decompressed_up_to_a_bound(compress, read):
+    data = np.random.default_rng(0).bytes(1000)
+    assert read(compress(data) + compress(data[:10])) == data + data[:10]
+    with pytest.raises(ExpansionError, match='expand'):
+        read(compress(BOMB) + compress(BOMB[:2**26]))
+    with pytest.raises(EOFError):
+        read(compress(data)[:-5])
+
+
+@pytest.mark.parametrize('compression', ['NONE', 'FILE'])
+def test_a_file_that_is_listed_repeatedly_is_refused(compression, tmp_path):
+    path = one_topic(tmp_path / 'b', made.poses(4), compression=compression)
+    name = made.storage_file(path).name
+    change_metadata(path, relative_file_paths=[name, 'x/' + name] * 500)
+    assert f"lists '{name}' 1000 times" in error_of(path)
+
+
+@pytest.mark.parametrize('place', ['c.mcap', 'c.db3', 'b/metadata.yaml', 'b/c.db3', 'b/b.mcap'])
+def test_a_pipe_is_no_part_of_a_recording(place, folder, tmp_path):
+    """And is not opened, which would wait for ever."""
+    (tmp_path / place).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / place)
+    assert 'is no plain file' in error_of(tmp_path / place.split('/')[0])
+
+
+@pytest.mark.parametrize('change', [
+    "UPDATE messages SET data = 'text'", 'UPDATE messages SET data = 7',
+    "UPDATE messages SET timestamp = 'soon'", "UPDATE topics SET name = x'00'",
+    "UPDATE topics SET type = x'00'"])
+def test_values_of_a_wrong_type_in_a_database_are_refused(change, tmp_path):
+    path = one_topic(tmp_path / 'b', made.poses(4), storage='sqlite3')
+    with closing(sqlite3.connect(made.storage_file(path))) as database:
+        database.execute(change)
+        database.commit()
+    for recording in (path, made.storage_file(path)):
+        error_of(recording)

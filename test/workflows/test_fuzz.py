@@ -1,8 +1,9 @@
 """Damaged and hostile files of every reader: refused in words, or read with finite numbers."""
 
-from functools import partial
+from functools import partial, reduce
 import json
 import math
+from operator import getitem
 
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.signals.trajectory import PoseStream
@@ -150,6 +151,32 @@ def test_damaged_recordings(storage, zstd, seed, tmp_path):
     for _ in range(ATTEMPTS):
         file.write_text(scrambled(rng, text, nested), errors='replace')
         refused(str(bag), read_again, bag)
+
+
+def leaves(content, *path):
+    """Yield the paths of all values in nested content."""
+    for key, value in content.items() if isinstance(content, dict) else enumerate(content):
+        yield *path, key
+        if isinstance(value, dict | list):
+            yield from leaves(value, *path, key)
+
+
+def test_each_value_of_metadata_with_a_wrong_type(tmp_path):
+    """Put each kind of value into each place of metadata.yaml."""
+    bag = tmp_path / 'bag'
+    write_bag(bag, [as_messages(*own) for own in recorded()])
+    text = json.dumps(safe_yaml.load(bag / 'metadata.yaml'))
+    tried = refusals = 0
+    for path in leaves(json.loads(text)):
+        for value in (None, 'x', '', -1, 1.5, True, [], ['x'], {}):
+            content = json.loads(text)
+            inner = reduce(getitem, path[:-1], content)
+            inner[path[-1]] = value
+            (bag / 'metadata.yaml').write_text(json.dumps(content))
+            refusals += refused(str(bag), read_contents, bag, ROLES)
+            refused(str(bag), topics, bag)
+            tried += 1
+    assert tried > 400 and refusals > tried / 3
 
 
 STRANGE = {
