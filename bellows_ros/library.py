@@ -21,6 +21,7 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals.screening import pose_steps, repeated
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import File
@@ -207,7 +208,7 @@ def identify(
         poses[bags[-1]] = {f'{body}_pose': PoseStream(
             body, 'world', good.stamps_ns, good.position, good.rotation)
             for body, each in zip(('tool', 'package'), pair, strict=True)
-            for good in [each.select(each.valid)]}
+            for good in [_samples_of(each)]}
     if len(poses) == len(bags):
         values.setdefault('recording.package_frame', 'com')
     from bellows_ros.workflows import identify as workflow
@@ -545,6 +546,12 @@ def observe(recording: File, parameters: Parameters, topic: str) -> Replay:
     if not topic:
         raise BellowsError('topic is empty. Name the one with measured poses of the package.')
     return workflow.replay(recording, _parameters(parameters), observe=topic)
+
+
+def _samples_of(poses: Trajectory) -> Trajectory:
+    """Return the valid poses without those that repeat a pose in motion."""
+    good = poses.select(poses.valid)
+    return good.select(~repeated(pose_steps(good.position, good.rotation)))
 
 
 def _parameters(source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS) -> Values:

@@ -15,7 +15,7 @@ from bellows_ros.core.sensors.camera import (
     tags_of,
     tags_shown,
 )
-from bellows_ros.core.signals.screening import unusable_stamps
+from bellows_ros.core.signals.screening import repeated, unusable_stamps
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
 from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
@@ -205,6 +205,9 @@ def _usable(views: CornerViews, arrivals: Any, places: Any, path: File) -> Corne
         'zero_stamp': views.stamps_ns <= 0, 'tag_no_pose': ~tags_shown(views.corners)[0]})
     at = np.searchsorted(places, kept)
     kept = messages.refuse(refused, kept, unusable_stamps(views.stamps_ns[at], arrivals[at]))
+    at = np.searchsorted(places, kept)
+    kept = messages.refuse(refused, kept, {'repeated': repeated(
+        np.linalg.norm(np.diff(views.corners[at], axis=0), axis=(1, 2)))})
     at = np.searchsorted(places, kept)
     if not len(kept):
         raise BellowsError(

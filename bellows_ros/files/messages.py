@@ -18,7 +18,13 @@ from typing import Any
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.signals.resampling import clock_steps
-from bellows_ros.core.signals.screening import UNIT_TOLERANCE, unusable_stamps
+from bellows_ros.core.signals.screening import (
+    LEVER,
+    pose_steps,
+    repeated,
+    UNIT_TOLERANCE,
+    unusable_stamps,
+)
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
 from bellows_ros.errors import BellowsError, is_name, shown
 import numpy as np
@@ -352,6 +358,8 @@ def pose_stream(name: str, decoded: np.ndarray, frames: Frames) -> PoseStream:
         'zero_quaternion': norm < 1e-6,
         'not_unit': np.abs(norm - 1.0) > UNIT_TOLERANCE}
     used, names, refused = _drop_invalid(decoded, poses, poses[:, :3], frames, unusable)
+    rotation = quaternion_to_rotation(poses[used, 3:])
+    used = refuse(refused, used, {'repeated': repeated(pose_steps(poses[used, :3], rotation))})
     return PoseStream(
         name, names[0], decoded['stamp'][used], poses[used, :3],
         quaternion_to_rotation(poses[used, 3:]), refused,
@@ -378,6 +386,8 @@ def twist_stream(name: str, decoded: np.ndarray, frames: Frames) -> TwistStream:
     """
     twists = decoded['values']
     used, names, refused = _drop_invalid(decoded, twists, twists, frames, {})
+    changes = np.diff(twists[used], axis=0) * np.repeat([1.0, LEVER], 3)
+    used = refuse(refused, used, {'repeated': repeated(np.linalg.norm(changes, axis=1))})
     return TwistStream(
         name, names[-1], decoded['stamp'][used], twists[used, :3], twists[used, 3:], refused)
 

@@ -24,6 +24,7 @@ from bellows_ros.core.planning.points import (
     plan_of_joints,
     require_count,
 )
+from bellows_ros.core.signals.screening import repeated
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, require_names, shown
 from bellows_ros.files import File, read_text
@@ -330,6 +331,9 @@ def recorded_joints(path: File, arm: Arm) -> Plan:
     position = np.array([m.position[own] for m, own in zip(useful, columns, strict=True)])
     velocity = np.array([m.velocity[own] for m, own in zip(useful, columns, strict=True)]) if all(
         len(m.velocity) == len(m.name) for m in useful) else None
+    fresh = ~repeated(np.linalg.norm(np.diff(position, axis=0), axis=1))
+    stamps, position = stamps[fresh], position[fresh]
+    velocity = None if velocity is None else velocity[fresh]
     T, twist = arm.tool(position, velocity)
     poses = np.hstack([T[:, :3, 3], lie.rotation_to_quaternion(T[:, :3, :3])])
     return Plan(MULTI_DOF, int(stamps[0]), arm.root, ('tool',), stamps - stamps[0], poses,

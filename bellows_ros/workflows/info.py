@@ -91,7 +91,7 @@ class TopicInfo(NamedTuple):
     refused : mapping of str to int
         Numbers of omitted messages by reason.
     outliers : int
-        Number of poses with tracking errors: jumps, steps, repeats.
+        Number of poses with tracking errors: jumps and steps.
     noise : mapping of str to list of 3 floats
         Standard deviations of 'position' (m) along the world's axes and of 'rotation' (rad) about
         body axes.

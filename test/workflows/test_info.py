@@ -116,6 +116,16 @@ def test_gaps_jitter_and_repeats_are_counted(m, tmp_path):
     assert found['/box'].rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
 
 
+def test_the_rate_of_repeated_poses_is_that_of_the_sensor(m, tmp_path):
+    """A driver of 100 Hz shows each pose of the robot four times, at rest too."""
+    shown = np.arange(len(m['t'])) // 4 * 4
+    tool = next(topic for topic in described(
+        tmp_path, poses('/tcp', m['t'], m['o'][shown], m['R'][shown]),
+        poses('/box', m['t'], m['o_p'], m['R_p'])).topics if topic.name == '/tcp')
+    assert tool.rate_hz == pytest.approx(RATE_HZ / 4, rel=1e-6) and not tool.gaps
+    assert tool.refused['repeated'] == pytest.approx(0.75 * len(m['t']), abs=1)
+
+
 def test_one_body_alone_is_reported_as_insufficient(m, tmp_path):
     """Use the name where there is nothing to compare with."""
     found = described(tmp_path, poses('/ur/tcp_pose', m['t'], m['o'], m['R']))

@@ -4,6 +4,7 @@ Screening of the tool's poses: a state machine over stamps, frames and values.
 Each pose is accepted, rejected with a reason, or accepted as a restart with a reason. A single
 implausible pose is rejected; a consistent run of them is accepted, so that the predictor recovers
 when a clock was set, a recording restarts, a driver changes its frame or a tool was moved unseen.
+Of equal poses of a moving tool the first counts, as in recordings (`signals.screening`).
 """
 
 import math
@@ -18,7 +19,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S, same_frame
 
 REFUSALS = (
     'nan', 'zero_quaternion', 'not_unit', 'zero_stamp', 'duplicate_stamp', 'backward_stamp',
-    'future_stamp', 'frame_id', 'jump', 'millimetres')
+    'future_stamp', 'frame_id', 'repeated', 'jump', 'millimetres')
 """Reasons for rejecting poses of the tool."""
 
 JUMP_RUN = 5
@@ -46,6 +47,9 @@ NEW_FRAME_NS = 150_000_000
 MAX_BURST_NS = 100_000_000
 """Longest pause between bursts of a driver, ns; longer ones are gaps."""
 
+MAX_SAMPLE_NS = 100_000_000
+"""Longest time between two samples of a sensor, ns: its driver may repeat a pose for so long."""
+
 UNKNOWN_PERIOD = -1.0
 """Period of a pose at which the tool's speed is unknown."""
 
@@ -62,6 +66,11 @@ class Reference(NamedTuple):
     """Velocity since the previous pose in axes of the poses' frame, m/s."""
     rate: Vector = ZERO
     """Angular velocity since the previous pose in the tool's axes, rad/s."""
+
+    @property
+    def distance(self) -> float:
+        """Distance from the previous pose, m, with the rotation at a lever."""
+        return self.period * (t3.norm(self.velocity) + screening.LEVER * t3.norm(self.rate))
 
     def step_to(self, stamp_ns: int, o: Vector, q: Quaternion) -> tuple[float, 'Reference']:
         """Return the size of a step relative to the limit of an arm, and the pose at its end."""
@@ -105,6 +114,37 @@ def pose_step(
                rate_change * shorter / turn_jump), v, w
 
 
+class Samples:
+    """
+    The samples of a sensor behind the poses of its driver, which may repeat each with new stamps.
+
+    The time between samples is learned from poses that differ by more than the resolution in each
+    of the messages between them, as those of a tool at rest do not.
+    """
+
+    def __init__(self) -> None:
+        self._shown_ns = self._message_ns = -1  # first and newest message of the pose
+        self._messages = 0  # with the pose
+        self._period_ns, self._resolution = 0, math.inf
+
+    def is_repeated(self, stamp_ns: int) -> bool:
+        """Count a message with the pose before; return whether the next sample is not yet due."""
+        half_ns = (stamp_ns - self._message_ns) // 2
+        self._message_ns = stamp_ns
+        self._messages += 1
+        return stamp_ns + half_ns < self._shown_ns + self._period_ns
+
+    def add(self, stamp_ns: int, step: float) -> None:
+        """Add a pose after a step, a distance, from a different one."""
+        since_ns = stamp_ns - self._shown_ns
+        self._resolution = min(self._resolution, step)
+        if since_ns <= MAX_SAMPLE_NS and step > self._messages * self._resolution:
+            change_ns = since_ns - self._period_ns
+            self._period_ns += change_ns if change_ns > 0 else change_ns // 16
+        self._shown_ns = self._message_ns = stamp_ns
+        self._messages = 1
+
+
 class Screen(StampScreen):
     """
     State machine that judges and counts successive poses of the tool.
@@ -140,6 +180,7 @@ class Screen(StampScreen):
         self._last: Reference | None = None
         self._elsewhere: Reference | None = None  # newest of the rejected poses
         self._run, self._foreign_ns = 0, -1
+        self._samples = Samples()
         self.forget_arrivals()
 
     def forget_arrivals(self) -> None:
@@ -184,6 +225,8 @@ class Screen(StampScreen):
         if reason:
             self.forget_motion()
         self.accept_stamp(stamp_ns, arrival_ns, reason)
+        if self._last is not None and self._next[1:3] != self._last[1:3]:
+            self._samples.add(stamp_ns, self._next.distance)
         self.frame, self._last = frame_id or self.frame, self._next
         self._elsewhere, self._run, self._foreign_ns = None, 0, -1
         if arrival_ns is not None and self.arrival_ns is not None:
@@ -214,6 +257,8 @@ class Screen(StampScreen):
             return 'millimetres'
         if last is None:
             return ''
+        if (o, q) == last[1:3] and self._samples.is_repeated(stamp_ns):
+            return 'repeated'
         other = self._elsewhere
         if other is not None:  # the period before the rejected poses may be a burst's
             last = last._replace(period=(stamp_ns - last.stamp_ns) / NS_PER_S)

@@ -1,13 +1,12 @@
 """
-Detection of tracking errors: excursions, lasting steps and frozen poses (appendix H).
+Detection of tracking errors: excursions and lasting steps (appendix H).
 
 A body with finite speed cannot jump. The jump between two samples is the smallest distance between
 two straight lines in the interval between the samples: the line through the two earlier samples,
 and the line through the two later ones. Constant acceleration and sudden changes of velocity cause
 no jump. A Hampel filter detects jumps above a multiple of the local median. Jumps that cancel each
 other enclose an excursion, whose samples are all marked. A jump without a cancelling one is a
-lasting step. Exact repeats of a pose are marked if the body moved meanwhile. Positions (m) and
-rotation vectors (rad) have the same treatment.
+lasting step. Positions (m) and rotation vectors (rad) have the same treatment.
 """
 
 from collections.abc import Iterable
@@ -19,7 +18,7 @@ from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.geometry.lie import log_so3
 from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, Trajectory
 import numpy as np
-from scipy.ndimage import find_objects, label, median_filter
+from scipy.ndimage import median_filter
 
 THRESHOLD_FACTOR = 4.5
 """Ratio of threshold and local median; the largest of 2 million samples of white noise is 4.0
@@ -50,7 +49,7 @@ MIN_RUN = 3
 """Smallest number of consecutive good samples; shorter runs are marked."""
 
 SIDE_SAMPLES = 6
-"""Number of compared samples on each side of repeated poses, or of a lasting step."""
+"""Number of compared samples on each side of a lasting step."""
 
 SIDES = slice(SIDE_SAMPLES), slice(SIDE_SAMPLES, None)
 """Samples before and after a jump."""
@@ -72,8 +71,8 @@ class Outliers:
     Parameters
     ----------
     good : bool array (N,)
-        False for excursions, exact repeats of a pose in motion, the two samples beside a lasting
-        step, and isolated samples between marked or missing ones.
+        False for excursions, the two samples beside a lasting step, and isolated samples between
+        marked or missing ones.
     steps : tuple of LastingStep
         Jumps without a return.
 
@@ -115,27 +114,14 @@ def find_outliers(poses: Trajectory, longest_step_ns: int) -> Outliers:
         Longest time between two samples that is not a gap, ns.
 
     """
-    usable = np.full(len(poses), True)
-    _exclude(usable, _frozen(poses))
-    moving = np.flatnonzero(usable)
-    if len(moving) < 2 * MIN_RUN:
-        return Outliers(usable, ())
-    poses = poses.select(moving)
+    good = np.full(len(poses), True)
+    if len(poses) < 2 * MIN_RUN:
+        return Outliers(good, ())
     jumps = _jumps(poses)
     excursions, steps = _paired(poses, jumps)
-    good = np.full(len(poses), True)
     _exclude(good, [*excursions, *(slice(step.before, step.before + 2) for step in steps)])
     _exclude(good, _isolated(good, np.diff(poses.stamps_ns) > longest_step_ns))
-    usable[moving] = good
-    return Outliers(
-        usable, tuple(step._replace(before=int(moving[step.before])) for step in steps))
-
-
-def find_repeats(poses: Trajectory) -> Outliers:
-    """Find the frozen poses of a tag; its other errors are weighted in the fit."""
-    good = np.full(len(poses), True)
-    _exclude(good, _frozen(poses))
-    return Outliers(good, ())
+    return Outliers(good, tuple(steps))
 
 
 def _jumps(poses: Trajectory) -> _Jumps:
@@ -287,33 +273,3 @@ def _isolated(good: Mask, gap: Mask) -> list[slice]:
     begins = np.concatenate([[True], gap | (good[1:] != good[:-1])])
     first = np.append(np.flatnonzero(begins), len(good)).tolist()
     return [slice(i, after) for i, after in pairwise(first) if good[i] and after - i < MIN_RUN]
-
-
-def _repeats(poses: Trajectory | PoseStream) -> Mask:
-    """Return the mask of samples followed by an identical pose (M,)."""
-    return np.asarray(np.all(poses.position[1:] == poses.position[:-1], axis=1)
-                      & np.all(poses.rotation[1:] == poses.rotation[:-1], axis=(1, 2)))
-
-
-def _frozen(poses: Trajectory) -> list[slice]:
-    """Return the repeated poses that end with a step too large for the surrounding motion."""
-    repeats = _repeats(poses)
-    moves = np.flatnonzero(~repeats)
-    if len(moves) in (0, len(repeats)):
-        return []
-    lengths, frozen = np.linalg.norm(increments_of(poses), axis=2), []
-    for (run,) in find_objects(label(repeats)[0]):
-        first, last = run.start, run.stop - 1
-        k = int(np.searchsorted(moves, last))
-        beside = moves[max(k - SIDE_SAMPLES, 0):k], moves[k + 1:k + 1 + SIDE_SAMPLES]
-        near = [np.abs(side - place) < 2 * SIDE_SAMPLES
-                for side, place in zip(beside, (first, last), strict=True)]
-        if any(np.count_nonzero(side) < MIN_RUN for side, end in zip(
-                near, (first > 0, k < len(moves)), strict=True) if end):
-            continue  # at rest, coarsely recorded
-        typical = np.median(lengths[:, np.concatenate(beside)], axis=1)
-        excess = (last - first + 1) * typical if k == len(moves) else (
-            lengths[:, moves[k]] - 1.5 * typical)  # a catch-up step is larger
-        if np.any(excess > MIN_JUMP):
-            frozen.append(slice(first + 1, last + 2))
-    return frozen

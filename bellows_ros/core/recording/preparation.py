@@ -25,12 +25,7 @@ from bellows_ros.errors import BellowsError
 import numpy as np
 
 from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill
-from .outliers import (
-    find_outliers,
-    find_repeats,
-    increments_of,
-    LastingStep,
-)
+from .outliers import find_outliers, increments_of, LastingStep, Outliers
 from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
 
 AUTOMATIC_HALF_WINDOW = 1 / 12
@@ -163,8 +158,8 @@ def _clean(
         recorded, jitter_s = resampling.at_sampling(recorded)
         poses = in_world(recorded.trajectory(), R_world_recorded)
         timing = resampling.timing(poses.stamps_ns)
-        outliers = find_repeats(poses) if is_tag else find_outliers(
-            poses, timing.longest_step_ns)
+        outliers = find_outliers(poses, timing.longest_step_ns) if not is_tag else (
+            Outliers(np.full(len(poses), True), ()))  # the fit weights the errors of a tag
         marked = replace(poses, valid=outliers.good)
         good = np.flatnonzero(outliers.good)  # poses outside the recording's time are ignored
         if len(good) > 2:

@@ -27,6 +27,9 @@ GAP_PERIODS = 1.5
 # Range of the ratio of the mean step to the typical step without bursts: up to half of the samples
 # may be lost, but none is repeated.
 MEAN_RANGE = (0.8, 2.5)
+# Ratio of the mean step to the typical step above which steps may alternate, and the smallest
+# fraction of sums over many steps that then are equal up to one step.
+EVEN_RATIO, MIN_EVEN_PART = 1.1, 0.8
 # Standard deviation of a normal distribution per median absolute deviation.
 MAD_TO_STD = 1.4826
 
@@ -192,11 +195,15 @@ def _period(steps: Stamps) -> float:
     Return the time between samples without gaps, ns.
 
     The median step is as accurate as the resolution of the stamps; the mean of the steps near the
-    median is more accurate. For stamps in pairs or bursts the period is the mean over many steps.
+    median is more accurate. For stamps in pairs or bursts the period is the mean over many steps,
+    also for steps of one and of two messages that alternate: lost samples leave less even sums.
     """
     count = min(20, max(len(steps) // 4, 1))  # number of averaged steps
-    typical = _typical_value(steps)
-    mean = _typical_value(np.convolve(steps, np.ones(count), 'valid')) / count
+    typical, sums = _typical_value(steps), np.convolve(steps, np.ones(count), 'valid')
+    mean = _typical_value(sums) / count
+    is_even = np.mean(np.abs(sums - count * mean) <= typical) > MIN_EVEN_PART
+    if typical * EVEN_RATIO < mean and is_even:
+        return mean
     return typical if MEAN_RANGE[0] * typical <= mean <= MEAN_RANGE[1] * typical else mean
 
 

@@ -4,15 +4,19 @@ Checks of stamps and poses, live and recorded.
 Live, a state machine judges header stamps by their times of arrival. A single wrong stamp is
 rejected; a consistent run of them is accepted: a clock was set, or a recording has restarted. Of
 recorded messages, the longest strictly increasing sequence of stamps is used.
+
+A driver that is faster than its sensor, or that freezes, repeats poses with new stamps. Of equal
+poses in a row of a moving body the first counts; a body at rest may repeat its pose.
 """
 
 from bisect import bisect_left
 import math
 from typing import NamedTuple
 
-from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.geometry.tuples import Quaternion, Vector
 import numpy as np
+from scipy.ndimage import median_filter
 
 MAX_TOOL_SPEED = 20.0
 """Largest speed of an arm, m/s."""
@@ -34,6 +38,30 @@ BACKWARD_RUN = 5
 back."""
 
 LEAP_NS = 20_000_000
+
+SIDE_POSES = 6
+"""Number of different poses on each side of equal ones that show the usual step."""
+
+MIN_SIDE_POSES = 3
+"""Smallest number of different poses beside equal ones of a moving body."""
+
+CATCH_UP = 1.5
+"""Ratio of a step to the usual step above which the body moved during the equal poses before."""
+
+RESOLUTION_QUANTILE = 0.01
+"""Quantile of the steps between different samples that is the resolution of a driver."""
+
+COUNTED_SAMPLES = 20
+"""Number of successive samples whose messages are counted together."""
+
+MIN_REGULAR = 0.8
+"""Smallest fraction of equal counts of a driver that repeats regularly."""
+
+MIN_FREEZE = 1e-3
+"""Smallest motion during equal poses at the end of a recording, by the speed before, m."""
+
+LEVER = 0.1
+"""Lever at which a rotation counts as a distance, m: the half of a package."""
 
 
 class PoseSample(NamedTuple):
@@ -187,3 +215,59 @@ def _longest_increasing(stamps_ns: Stamps) -> Stamps:
     while (following := int(after[sequence[-1]])) >= 0:
         sequence.append(following)
     return np.array(sequence)
+
+
+def pose_steps(position: Array, rotation: Array) -> Array:
+    """Return the distances (N - 1,) between poses (N, 3) and (N, 3, 3) in a row, m."""
+    return np.asarray(np.linalg.norm(np.diff(position, axis=0), axis=1) + LEVER * np.linalg.norm(
+        np.diff(rotation, axis=0), axis=(1, 2)))
+
+
+def repeated(steps: Array) -> Mask:
+    """
+    Return the mask (N,) of the samples to be left out as repeats, by the steps (N - 1,) between.
+
+    A driver shows each sample of its sensor in as many messages as most different samples in
+    motion have. Equal samples at rest count once for each as many messages. If the step after
+    equal samples is larger than usual, the body moved meanwhile, and only the first counts.
+    """
+    first = np.flatnonzero(np.append(True, steps > 0.0))  # of equal samples
+    total = len(steps) + 1
+    if not 1 < len(first) < total:
+        return np.zeros(total, dtype=bool)
+    counts = np.diff(np.append(first, total))
+    steps = steps[first[1:] - 1]  # to the next different sample
+    period = _messages_per_sample(counts[:-1][steps > np.min(steps) * counts[:-1]])
+    usual = median_filter(steps, size=2 * SIDE_POSES + 1, mode='mirror')
+    resolution = np.quantile(steps, RESOLUTION_QUANTILE)
+    catches_up = np.append(steps > CATCH_UP * usual + resolution,
+                           counts[-1] / period * usual[-1] > MIN_FREEZE)
+    is_frozen = np.repeat(catches_up & _moves_beside(first, counts, period), counts)
+    number = np.arange(total) - np.repeat(first, counts)
+    is_sample = np.floor(number / period) > np.floor((number - 1) / period)
+    return np.asarray(np.where(is_frozen, number > 0, ~is_sample))
+
+
+def _messages_per_sample(counts: Stamps) -> float:
+    """
+    Return the mean number of messages of samples in motion, 1 unless nearly the same throughout.
+
+    A driver at 500 Hz above a sensor at 200 Hz shows its samples in 2, 3, 2, 3, ... messages.
+    """
+    size = min(len(counts), COUNTED_SAMPLES)
+    if not size:
+        return 1.0
+    totals = np.convolve(counts, np.ones(size), 'valid')
+    usual = np.median(totals)
+    regular = totals[np.abs(totals - usual) <= 1.0]
+    is_regular = usual > size and len(regular) > MIN_REGULAR * len(totals)
+    return float(np.mean(regular)) / size if is_regular else 1.0
+
+
+def _moves_beside(first: Stamps, counts: Stamps, period: float) -> Mask:
+    """Return whether there are different samples soon before and after equal ones, or an end."""
+    reach, last = 2.0 * SIDE_POSES * period, first + counts - 1
+    before = np.arange(len(first)) - np.searchsorted(first, first - reach)
+    after = np.searchsorted(first, last + reach, 'right') - np.arange(len(first)) - 1
+    begins, ends = first == 0, last == last[-1]
+    return np.asarray(((before >= MIN_SIDE_POSES) | begins) & ((after >= MIN_SIDE_POSES) | ends))

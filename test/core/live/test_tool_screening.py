@@ -2,8 +2,9 @@
 
 import math
 
+from bellows_ros import read_cup, read_package
 from bellows_ros.core.geometry.tuples import exp_quaternion, quaternion_product
-from bellows_ros.core.live import REFUSALS, RESTARTS
+from bellows_ros.core.live import LivePredictor, REFUSALS, RESTARTS
 from bellows_ros.core.live.tool_screening import JUMP_RUN, Screen
 from bellows_ros.core.signals.screening import BACKWARD_RUN
 import numpy as np
@@ -125,6 +126,53 @@ def test_tool_that_comes_to_rest_may_repeat_its_pose():
     for k in range(200):  # stops with 5 m/s^2, as arms do
         assert screen.judge(START + k * PERIOD, 'base', (o, 0.0, 0.0), UPRIGHT) == GOOD
         o, v = o + v * PERIOD * 1e-9, max(0.0, v - 5.0 * PERIOD * 1e-9)
+
+
+def swing(seconds):
+    """Return the height of a tool that rests for half a second, swings for 2 s, and rests."""
+    return 0.05 * (1.0 - math.cos(3.0 * math.pi * min(max(seconds - 0.5, 0.0), 2.0)))
+
+
+@pytest.mark.parametrize('jitter_ns', [0, MS // 5])
+@pytest.mark.parametrize('noise', [0.0, 2e-5])
+@pytest.mark.parametrize('ratio', [1.0, 1.5, 2.0, 2.5, 4.0, 10.0])
+def test_of_poses_shown_again_in_motion_the_first_counts(ratio, noise, jitter_ns):
+    """A driver is faster than its robot: as soon as this is known, each sample counts once."""
+    rng, screen, last, verdicts, again = np.random.default_rng(1), Screen(), -1, [], []
+    for k in range(1500):
+        sample = math.floor(k / ratio)
+        if sample != last:
+            place = tuple((noise * rng.normal(size=3) + [
+                0.0, 0.0, swing(sample * ratio * PERIOD * 1e-9)]).tolist())
+        stamp = START + k * PERIOD + int(jitter_ns * rng.uniform())
+        verdicts.append(screen.judge(stamp, 'base', place, UPRIGHT))
+        again.append(sample == last)
+        last = sample
+    assert set(verdicts) <= {GOOD, 'repeated'}
+    refused = np.array(verdicts) == 'repeated'
+    assert not np.any(refused & ~np.array(again))
+    known = slice(350, 1250)  # after the start of the motion, which begins slowly
+    missed = np.array(again)[known] & ~refused[known]
+    assert np.count_nonzero(missed) <= 0.02 * 900
+    if ratio == 1.0:
+        assert not refused.any()
+
+
+def test_predictions_of_repeated_poses_are_those_of_the_sensor(root):
+    """At 125 Hz, each shown four times at 500 Hz: without a delay by the messages between."""
+    def predicted(step):
+        live, found = LivePredictor(read_cup(root / 'bags/cup.yaml'), read_package(
+            root / 'bags/package.yaml'), 9.81), {}
+        for k in range(0, 1500, step):
+            place = (swing(k // 4 * 4 * PERIOD * 1e-9), 0.0, 0.5)
+            for one in live.on_pose(START + k * PERIOD, 'base', place, UPRIGHT):
+                found[one.stamp_ns] = one.position
+        return found
+
+    shown, sampled = predicted(1), predicted(4)
+    late = [stamp for stamp in sampled if stamp > START + 400 * PERIOD]
+    error = np.array([np.subtract(shown[stamp], sampled[stamp]) for stamp in late])
+    assert np.abs(error).max() < 2e-4  # 3 mm if each message counted
 
 
 @SPEEDS

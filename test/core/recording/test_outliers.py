@@ -157,26 +157,6 @@ def test_a_lasting_step_does_not_end_in_a_lost_pose(seed):
     assert np.count_nonzero(~found_in(kept).good) < 0.05 * len(kept)
 
 
-def frozen(poses, run):
-    """Give poses that stay at the one before a run of samples."""
-    position, rotation = poses.position.copy(), poses.rotation.copy()
-    position[run], rotation[run] = position[run.start - 1], rotation[run.start - 1]
-    return Trajectory(poses.stamps_ns, position, rotation)
-
-
-@pytest.mark.parametrize('noise', [NONE, LAB])
-@pytest.mark.parametrize('length', [5, 12, 60, 100])
-def test_frozen_poses_are_marked(length, noise):
-    """In the motion, and till the end."""
-    rng = np.random.default_rng(23)
-    for start in (2500, 4000, 7200 - length):
-        poses = noisy(rng, shaken(rng, Shaking(360.0)), noise)
-        run = slice(start, start + length)
-        found = found_in(frozen(poses, run))
-        assert_array_equal(np.flatnonzero(~found.good), np.arange(run.start, run.stop))
-        assert found.steps == ()
-
-
 def test_a_rest_recorded_without_noise_is_not_frozen_even_with_an_outlier_in_it():
     rng = np.random.default_rng(25)
     poses = shaken(rng, Shaking(360.0))
