@@ -88,7 +88,7 @@ def _require_recording(bag: Path) -> None:
 
 def _require_closed(bag: Path) -> None:
     """Raise for a bag of ROS 1, and for a database with a journal or without its last pages."""
-    if bag.suffix == '.bag':
+    if bag.suffix == '.bag' and not bag.is_dir():
         raise BellowsError(f"'{bag}' is a bag of ROS 1. Convert it: 'rosbags-convert --src {bag} "
                            "--dst FOLDER', of the Python package rosbags.")
     for file in bag.glob('*.db3') if bag.is_dir() else [bag] * (bag.suffix == '.db3'):

@@ -186,6 +186,11 @@ def test_what_is_no_recording_is_refused(tmp_path):
         assert words in error_of(path) and len(error_of(path)) < 700
 
 
+def test_a_folder_is_judged_by_its_content(tmp_path):
+    """Also a recording whose folder has the suffix of ROS 1."""
+    assert topics(one_topic(tmp_path / 'pick.bag', made.poses(4)))[0].messages == 4
+
+
 def is_read(path, name='/tool/pose'):
     """Return whether a recording is read, all of it; otherwise it is refused with a remedy."""
     begin = time.process_time()
