@@ -467,10 +467,7 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
     option('--release', 'T', 'when to switch the valve, in s from the beginning of the plan',
            type=float, default=None),
     option('--target', 'X Y', 'find the time of release for a landing here, m in the world',
-           type=float, nargs=2, default=None),
-    option('--target-rotation', 'QX QY QZ QW', (
-        'with --target: also match this orientation (quaternion)'),
-        type=float, nargs=4, default=None))
+           type=float, nargs=2, default=None))
 def toss(arguments: Any, console: 'Console') -> Outcome:
     """
     Predict where a tossed package lands, and how accurately.
@@ -492,8 +489,7 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
 
     result = toss_plan(
         arguments.plan, read_settings(arguments, cup_for=console), arguments.release,
-        arguments.target, arguments.target_rotation, console.progress,
-        str(arguments.urdf or ''), arguments.topic)
+        arguments.target, console.progress, str(arguments.urdf or ''), arguments.topic)
     if arguments.out:
         write_toss(arguments.out, result, arguments.force)
     return Outcome(partial(print_toss, result), result)

@@ -432,8 +432,7 @@ def steer(
 
 def toss(
     motion: MotionSource, parameters: Parameters, release: float | None = None,
-    target: Sequence[float] | None = None, target_rotation: ArrayLike | None = None,
-    urdf: str = '', topic: str = '',
+    target: Sequence[float] | None = None, urdf: str = '', topic: str = '',
 ) -> TossResult:
     """
     Predict a toss: the landing and its covariance, like `bellows toss`.
@@ -446,8 +445,6 @@ def toss(
         Time of the valve, s since the first point of the motion.
     target : (x, y), optional
         Target of B, m, for which the time of the valve is searched.
-    target_rotation : array_like (4,) or Rotation, optional
-        Orientation wanted at the landing: a quaternion (x, y, z, w) or a SciPy rotation.
 
     Returns
     -------
@@ -467,15 +464,12 @@ def toss(
     (6, 6)
 
     """
-    rotation = None if target_rotation is None else cup_package.frozen_array(
-        getattr(target_rotation, 'as_quat', lambda: target_rotation)(), (4,), 'target_rotation')
     x_y: Any = None if target is None else tuple(
         cup_package.frozen_array(target, (2,), 'target').tolist())
     from bellows_ros.workflows import toss as workflow
 
     return workflow.toss_plan(
-        motion, _parameters(parameters), release, x_y, rotation, urdf=urdf,
-        topic=topic)
+        motion, _parameters(parameters), release, x_y, urdf=urdf, topic=topic)
 
 
 def replay(recording: File, parameters: Parameters) -> Replay:

@@ -182,7 +182,8 @@ class Planning:
         found = steer(self._pipeline.live.model, plan, 'zvd')
         if found.method != 'zvd':
             self._pipeline.node.get_logger().warning(
-                f'A motion is steered by {found.method} instead of zvd, and leaves a swing '
+                f'A motion is steered by {"no shaper" if found.method == "none" else "zv"} '
+                'instead of zvd, and leaves a swing '
                 f'of {math.degrees(found.residual):.2g} degrees.', throttle_duration_sec=1.0)
         return found.tool
 

@@ -189,9 +189,7 @@ def print_toss(result: TossResult, out: Any) -> None:
           for axis, x, error in zip('xy', toss.landing[0], std, strict=False)),
         ('turned by', f'± {math.degrees(float(np.linalg.norm(std[3:]))):.2g} deg', ''),
         ('tumbling at', quantity(toss.tumbling, 0.0, 'deg/s'), ''),
-        *([('target away', quantity(aim.distance, 0.0, 'mm'), '')] if aim else ()),
-        *([('turned from target', quantity(aim.angle, 0.0, 'deg'), '')]
-          if aim and aim.angle else ())],
+        *([('target away', quantity(aim.distance, 0.0, 'mm'), '')] if aim else ())],
         title='Toss')
     _print_budget(result, out)
     out.warn(*result.warnings)

@@ -216,13 +216,16 @@ class Effect:
         prediction, required = self.prediction, self.source.values.safety.least
         safety = Finding('no_factor') if prediction.grip is None else safety_finding(
             *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], required)
-        sides = [side for side, is_still in (
-            ('begins', self.source.begins_at_rest), ('ends', prediction.ends_at_rest))
-            if not is_still]
-        return tuple(filter(None, (
-            safety, flip_finding(prediction.bending),
-            Finding('in_motion', Level.WARN, {'side': ' and '.join(sides)}) if sides else None,
-            outside_finding(self.outside))))
+        found = [] if safety is None else [safety]
+        if flip := flip_finding(prediction.bending):
+            found.append(flip)
+        at_rest = {'begins': self.source.begins_at_rest, 'ends': prediction.ends_at_rest}
+        moving = [side for side, is_still in at_rest.items() if not is_still]
+        if moving:
+            found.append(Finding('in_motion', Level.WARN, {'side': ' and '.join(moving)}))
+        if self.outside:
+            found.append(outside_finding(self.outside))
+        return tuple(found)
 
     def with_peaks(self, seconds: Array, loads: Array) -> Array:
         """Return loads (N, 2) at times (N,), s, with the peaks between and after these times."""
@@ -460,8 +463,10 @@ def steer_plan(
         replace(source, tool=steered.tool))}
     with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
         motions[AS_PLANNED] = _effect(source)
-    return _report(
-        source, limits and bounds, motions, _slowed(scale, limit), steered=steered)
+    notes = _slowed(scale, limit)
+    if steered.method == 'none':
+        notes = (*notes, Finding('unshaped', Level.OK))
+    return _report(source, limits and bounds, motions, notes, steered=steered)
 
 
 def _report(
@@ -540,9 +545,9 @@ def _used(source: Source, limits: Limits, tool: Trajectory, factor: float) -> di
     return parts
 
 
-def outside_finding(ranges: Sequence[str]) -> Finding | None:
-    """Return the finding on exceeded validity ranges, None without any."""
-    return Finding('outside', Level.WARN, {'ranges': '; '.join(ranges)}) if ranges else None
+def outside_finding(ranges: Sequence[str]) -> Finding:
+    """Return the finding on exceeded validity ranges."""
+    return Finding('outside', Level.WARN, {'ranges': '; '.join(ranges)})
 
 
 def bending(R_world_tool: Array, R_world_lip: Array) -> Array:

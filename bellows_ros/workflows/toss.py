@@ -124,7 +124,7 @@ class TossResult(plan.OfPlan):
         if self.aim is not None:
             content['target'] = {
                 'position': list(self.aim.target), 'valve_time': self.aim.switched,
-                'distance': self.aim.distance, 'angle': self.aim.angle}
+                'distance': self.aim.distance}
         return content
 
     @property
@@ -137,27 +137,40 @@ class TossResult(plan.OfPlan):
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the toss."""
-        held, values, release = self.case.held, self.source.values, self.source.values.release
-        speed = float(np.linalg.norm(self.toss.release[2]))
-        lost_at = held.lost_before(self.case.switched)
+        held, switched = self.case.held, self.case.switched
+        found = [*self.source.findings]
+        lost_at = held.lost_before(switched)
+        if lost_at is not None:
+            found.append(Finding(
+                'lost_before', Level.WARN, {'lost': lost_at, 'switched': switched}))
         before = held.times <= self.toss.release_time
-        angle = float(np.max(plan.bending(*(
-            quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states)))))
-        return (*self.source.findings, *filter(None, (
-            None if lost_at is None else Finding(
-                'lost_before', Level.WARN, {'lost': lost_at, 'switched': self.case.switched}),
-            flip_finding(angle),
-            Finding('no_factor') if self.mode == 'delay' and not release.opening else None,
-            Finding('assumed_delay', Level.WARN, {
+        R_tool, R_package = (
+            quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states))
+        if flip := flip_finding(float(plan.bending(R_tool, R_package).max())):
+            found.append(flip)
+        if self.mode == 'delay' and not self.source.values.release.opening:
+            found.append(Finding('no_factor'))
+        if self.assumed:
+            speed = float(np.linalg.norm(self.toss.release[2]))
+            found.append(Finding('assumed_delay', Level.WARN, {
                 'longest': conversion.MAX_DELAY, 'speed': speed,
-                'shift': conversion.MAX_DELAY * speed}) if self.assumed else None,
-            plan.outside_finding((*outside_loads(
-                conversion.box_of(values), values.package.mass, values.vacuum.holding), *[
-                    'the mass is {:.3g} kg, of drops {:.3g} to {:.3g} kg'.format(
-                        values.package.mass, *release.mass_range)]
-                * bool(conversion.beyond_masses(values)))),
-            None if self.succeeded or not self.aim else Finding(
-                'out_of_reach', Level.WARN, {'distance': self.aim.distance}))))
+                'shift': conversion.MAX_DELAY * speed}))
+        if outside := self._outside():
+            found.append(plan.outside_finding(outside))
+        if self.aim and not self.succeeded:
+            found.append(Finding('out_of_reach', Level.WARN, {'distance': self.aim.distance}))
+        return tuple(found)
+
+    def _outside(self) -> list[str]:
+        """Return a phrase for each range of the cup, or of the drops, that the load exceeds."""
+        values = self.source.values
+        mass = values.package.mass
+        phrases = [*outside_loads(conversion.box_of(values), mass, values.vacuum.holding)]
+        if conversion.beyond_masses(values):
+            lightest, heaviest = values.release.mass_range
+            phrases.append(
+                f'the mass is {mass:.3g} kg, of drops {lightest:.3g} to {heaviest:.3g} kg')
+        return phrases
 
 
 def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> None:
@@ -175,28 +188,24 @@ def write_toss(path: File, result: TossResult, replace_bag: bool = False) -> Non
         path, result.source, tool, simulation.tool_rows(package), replace_bag)
 
 
-def _require_request(
-    switched: float | None, target: tuple[float, float] | None, target_rotation: Array | None
-) -> None:
+def _require_request(switched: float | None, target: tuple[float, float] | None) -> None:
     """Require a time of the valve or a target, in the ranges of `toss_plan`."""
-    if target is None and (target_rotation is not None or switched is None):
+    if target is None and switched is None:
         raise BellowsError(
             'Neither release nor target is given. Give the time of the valve, --release T (s), '
-            'or a place to hit, --target X Y (m), which a target_rotation needs.')
-    for name, value, is_right, expected in (
-            ('release', switched, math.isfinite(switched or 0.0), 'a finite time, s'),
-            ('target', target, all(abs(x) <= MAX_TARGET for x in target or ()),
-             f'x and y of at most {MAX_TARGET:g} m (are they in mm?)'),
-            ('target_rotation', target_rotation, target_rotation is None or (
-                0.5 <= np.linalg.norm(target_rotation) < math.inf), 'a quaternion of length 1')):
-        if not is_right:
-            raise BellowsError(f'{name} is {shown(value)}; expected {expected}.')
+            'or a place to hit, --target X Y (m).')
+    if switched is not None and not math.isfinite(switched):
+        raise BellowsError(f'release is {shown(switched)}; expected a finite time, s.')
+    if target is not None and not all(abs(x) <= MAX_TARGET for x in target):
+        raise BellowsError(
+            f'target is {shown(target)}; expected x and y of at most {MAX_TARGET:g} m (are they '
+            'in mm?).')
 
 
 def toss_plan(
     path: plan.MotionSource, parameters: Mapping[str, Any], switched: float | None,
-    target: tuple[float, float] | None = None, target_rotation: Array | None = None,
-    progress: Progress = no_progress, urdf: str = '', topic: str = ''
+    target: tuple[float, float] | None = None, progress: Progress = no_progress,
+    urdf: str = '', topic: str = ''
 ) -> TossResult:
     """
     Predict a toss along a plan.
@@ -211,8 +220,6 @@ def toss_plan(
         Time of the valve, s since the first point of the plan; None with a target.
     target : (x, y), optional
         Target of B in the world, m, for which the time of the valve is searched.
-    target_rotation : array (4,), optional
-        Quaternion (x, y, z, w) wanted at landing.
     progress : callable
         Callback with a sentence on the current step.
     urdf, topic : str
@@ -224,7 +231,7 @@ def toss_plan(
         If the plan, the parameters or the time are unusable.
 
     """
-    _require_request(switched, target, target_rotation)
+    _require_request(switched, target)
     progress('reading the plan')
     source = plan.plan_with_cup(path, parameters, urdf, topic)
     values, gravity = conversion.with_assumed_release(source.values), source.gravity
@@ -237,8 +244,7 @@ def toss_plan(
     held = HeldMotion(source.model, source.grip, source.tool)
     aim = None
     if target is not None:
-        rotation = None if target_rotation is None else quaternion_to_rotation(target_rotation)
-        aim = landing.aim(held, release, target, rotation)
+        aim = landing.aim(held, release, target)
         switched = aim.switched
     assert switched is not None
     nominal = toss(held, release, switched)
@@ -290,16 +296,23 @@ class ReleaseResult(CommandResult):
     def findings(self) -> tuple[Finding, ...]:
         """Findings on the drops."""
         fit, count = self.fit, len(self.left_out)
-        numbers = ', '.join(
-            f'{RELEASE_NAMES[k]} ({fit.law[k]:.3g} ± {fit.std[k]:.2g} '
-            f'{RELEASE_UNITS[RELEASE_NAMES[k]]}'.rstrip() + ')' for k in fit.not_identifiable)
-        return tuple(filter(None, (
-            Finding('not_identifiable', Level.WARN, {
-                'label': numbers, 'why': 'the given or default value is used',
-                'how': 'Add drops of a package of half or twice the mass'}) if numbers else None,
-            Finding('left_out', Level.WARN, {
+        found = list[Finding]()
+        if fit.not_identifiable:
+            found.append(Finding('not_identifiable', Level.WARN, {
+                'label': ', '.join(self._number(k) for k in fit.not_identifiable),
+                'why': 'the given or default value is used',
+                'how': 'Add drops of a package of half or twice the mass'}))
+        if count:
+            found.append(Finding('left_out', Level.WARN, {
                 'part': f'{count} of {count + len(self.used)} valve-offs',
-                'reason': '; '.join(self.left_out)}) if count else None)))
+                'reason': '; '.join(self.left_out)}))
+        return tuple(found)
+
+    def _number(self, k: int) -> str:
+        """Return a number of the law with its name, standard error and unit."""
+        name = RELEASE_NAMES[k]
+        value = f'{self.fit.law[k]:.3g} ± {self.fit.std[k]:.2g} {RELEASE_UNITS[name]}'
+        return f'{name} ({value.rstrip()})'
 
     def masses(self) -> list[tuple[float, int, float, float, float]]:
         """Return mass (kg), drops, release (s; NaN if later), and rms (m, m/s)."""

@@ -61,9 +61,10 @@ def steer(model: ModelTuple, plan: Trajectory, method: str) -> Steered:
     """
     Return a motion of the tool that leaves the package without swing.
 
-    Shapers of one mode and several modes are simulated, from short to long, up to `ALLOWED_TIME`:
-    ZVD shapers, then ZV shapers. The first motion with a residual swing below `SETTLED_ANGLE` is
-    selected, otherwise the motion with the least swing, which may be the plan.
+    Shapers of one mode and several modes are simulated, from short to long, up to `ALLOWED_TIME`
+    and to the time in which the package settles after the plan: ZVD shapers, then ZV shapers. The
+    first motion with a residual swing below `SETTLED_ANGLE` is selected, otherwise the motion with
+    the least swing, which may be the plan.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def steer(model: ModelTuple, plan: Trajectory, method: str) -> Steered:
             f'{twist[:, 3:].max():.3g} rad/s; expected rest. Give a plan from rest to rest.')
     planned = PlanSimulation(model, None, plan, tail=TAIL).predict()
     swinging = to_shape(residual_modes(model, planned))
-    allowed = max(ALLOWED_TIME, float(plan.seconds[-1]))
+    allowed = min(max(ALLOWED_TIME, float(plan.seconds[-1])), planned.settled_after)
     best = Steered(plan, [], planned.residual_swing, 'none')
     for kind in ('zvd', 'zv') if method == 'zvd' else ('zv',):
         for count in range(1, len(swinging) + 1):

@@ -11,7 +11,6 @@ import math
 from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
 from bellows_ros.core.model import cup_package
 from bellows_ros.core.model.grip import Law, Release, RELEASE_NAMES
 from bellows_ros.core.model.kernels import ModelTuple
@@ -32,6 +31,9 @@ TOLERANCE = 1e-6
 
 SCAN, REFINED = 4e-3, 3
 """Step of the scan for the best release time, s, and number of its minima that are refined."""
+
+NO_LANDING = 1e6
+"""Distance from the target that stands for a toss without a landing, m."""
 
 ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % in a plane, standard deviations."""
@@ -151,15 +153,11 @@ class Aim(NamedTuple):
     switched: float
     distance: float
     """Distance from the target in the plane, m."""
-    angle: float
-    """Angle from the wanted rotation, rad; 0 without a wanted rotation."""
     target: tuple[float, float]
     """Target x and y in the world, m."""
 
 
-def aim(
-    held: HeldMotion, release: Release, target: tuple[float, float], rotation: Array | None = None
-) -> Aim:
+def aim(held: HeldMotion, release: Release, target: tuple[float, float]) -> Aim:
     """
     Return the time of the valve with which the package lands nearest to a target.
 
@@ -171,8 +169,6 @@ def aim(
         Valve, package and floor.
     target : (x, y)
         Position of B at landing, in the world, m.
-    rotation : array (3, 3), optional
-        Wanted R_world_package at landing; its error counts as the shift of the farthest corner.
 
     Raises
     ------
@@ -180,36 +176,28 @@ def aim(
         If no release during the plan leads to a landing.
 
     """
-    reach = float(np.linalg.norm(release.half))
-
-    def miss(switched: float) -> Array:
+    def distance(switched: float) -> float:
         try:
-            thrown = toss(held, release, switched)
+            landed = toss(held, release, switched).landing[0]
         except (NoLandingError, UnstableError):
-            return np.full(5, np.nan)
-        error = np.zeros(3)
-        if rotation is not None:
-            error = log_so3(rotation.T @ quaternion_to_rotation(np.array(thrown.landing[1])))
-        return np.concatenate([np.subtract(thrown.landing[0][:2], target), reach * error])
-
-    def cost(switched: float) -> float:
-        return float(np.nan_to_num(np.linalg.norm(miss(switched)), nan=1e6, posinf=1e6))
+            return NO_LANDING
+        away = math.dist(landed[:2], target)
+        return away if away < NO_LANDING else NO_LANDING  # of NaN, too
 
     lost_time = held.lost_before(held.duration)
     last = held.duration if lost_time is None else lost_time
     times = np.linspace(0.0, last, max(2, math.ceil(last / SCAN) + 1))
-    costs = [cost(t) for t in times]
-    minima = [k for k in range(len(times)) if costs[k] <= min(costs[max(k - 1, 0):k + 2])]
+    distances = [distance(t) for t in times]
+    minima = [k for k in range(len(times)) if distances[k] <= min(distances[max(k - 1, 0):k + 2])]
     tried = []
-    for k in sorted(minima, key=costs.__getitem__)[:REFINED]:
+    for k in sorted(minima, key=distances.__getitem__)[:REFINED]:
         ends = times[max(k - 1, 0)], times[min(k + 1, len(times) - 1)]
         best = float(scipy.optimize.minimize_scalar(
-            cost, bounds=ends, method='bounded', options={'xatol': TOLERANCE}).x)
-        tried += [(cost(best), best), (costs[k], float(times[k]))]
-    size, switched = min(tried)
-    if size >= 1e6:
+            distance, bounds=ends, method='bounded', options={'xatol': TOLERANCE}).x)
+        tried += [(distance(best), best), (distances[k], float(times[k]))]
+    nearest, switched = min(tried)
+    if nearest >= NO_LANDING:
         raise NoReleaseError(
             'No release during the plan leads to a landing. Check landing.height, release.*, and '
             'whether the plan throws the package.')
-    shift, angle = (float(np.linalg.norm(part)) for part in np.split(miss(switched), [2]))
-    return Aim(switched, shift, angle / reach, target)
+    return Aim(switched, nearest, target)

@@ -46,29 +46,30 @@ DIFFERENCE_STEPS = (1e-4,) * 3 + (1e-3,) * 6 + (1e-2,) * 3 + (0.1,) * 6
 """Steps of differences by shift (m), rotation (rad), linear and angular twist (m/s, rad/s), and by
 the numbers of the law of release (standard deviations)."""
 
+HELD, DELAYED, FALLING = 0, 1, 2
+"""Phases of a toss: before the valve, during its delay, and from the fall of the suction on."""
+
 NO_GRIP: Grip = (1.0, 0.0, 0.0)
 """Grip of unknown radius or vacuum, whose release does not depend on the load."""
 
 
 @kernel
-def suction(law: Law, since_valve: float) -> float:
-    """Return the suction a time (s) after the valve, relative to the holding suction."""
-    return 1.0 - max(0.0, since_valve - law[0]) / max(law[1], INSTANT_FALL)
+def suction(law: Law, since_fall: float) -> float:
+    """Return the suction a time (s) after it begins to fall, relative to the holding suction."""
+    return 1.0 - max(0.0, since_fall) / max(law[1], INSTANT_FALL)
 
 
 @kernel
 def length_change(
-    model: ModelTuple, law: Law, since_valve: float, tool: State, body: State
+    model: ModelTuple, law: Law, since_fall: float, tool: State, body: State
 ) -> float:
-    """Return the increase of the cup length (m) a time (s) after the valve."""
+    """Return the increase of the length (m) of an opening cup while the suction falls."""
     _, _, closing, opening, _, _ = law
-    if opening <= 0.0 or since_valve < law[0]:
-        return 0.0
     cup, package, _ = model
     o_E_S, R_E_S, _, _ = kernels.lip_relative_to_tool(package[1], tool, body)
     stretch = -t3.apply_transposed(R_E_S, o_E_S)[2] - cup[1]
     stiffness, part = cup[2][0][8], max(0.0, stretch) / opening
-    force = closing * (suction(law, since_valve) + part * part) - max(
+    force = closing * (suction(law, since_fall) + part * part) - max(
         0.0, closing - stiffness * stretch)
     return stretch - force / stiffness
 
@@ -86,43 +87,44 @@ def with_length(model: ModelTuple, law: Law, change: float) -> ModelTuple:
 
 @kernel
 def suction_margin(
-    model: ModelTuple, grip: Grip, law: Law, since_valve: float, tool: State, body: State
+    model: ModelTuple, grip: Grip, law: Law, since_fall: float, opens: bool, tool: State,
+    body: State,
 ) -> float:
     """
-    Return the suction minus the load (N) of the lip that peels first, a time (s) after the valve.
+    Return the suction minus the load (N) of the lip that peels first.
 
     The release is at 0 or below. Without a grip model the margin is the remaining suction.
     """
-    left = suction(law, since_valve) + law[5]
+    left = suction(law, since_fall) + law[5]
     if grip[1] <= 0.0:
         return left
     opened = model
-    if law[3] > 0.0 and since_valve >= law[0]:
-        opened = with_length(model, law, length_change(model, law, since_valve, tool, body))
+    if opens:
+        opened = with_length(model, law, length_change(model, law, since_fall, tool, body))
     return grip[0] * left - largest_peel_load(grip, opened, tool, body)
 
 
 @kernel
 def _held_substep(
-    model: ModelTuple, law: Law, since_valve: float, segment: ToolSegment, body: State, low: float,
-    high: float,
+    model: ModelTuple, law: Law, since_fall: float, opens: bool, segment: ToolSegment, body: State,
+    low: float, high: float,
 ) -> tuple[State, State]:
     """
     Return tool and package at a fraction of a segment, from the package at a smaller fraction.
 
-    The segment begins a time (s) after the valve. The cup length is the mean of the lengths at
-    both ends, which is accurate to second order.
+    The segment begins a time (s) after the suction falls, negative before. The length of a cup
+    that opens is the mean of the lengths at both ends, which is accurate to second order.
     """
     before, middle = kernels.tool_at(segment, low), kernels.tool_at(segment, 0.5 * (low + high))
     tool, h = kernels.tool_at(segment, high), (high - low) * segment[0]
-    since_valve += low * segment[0]
-    if law[3] <= 0.0 or since_valve + h <= law[0]:
+    if not opens:
         return tool, kernels.step(model, body, before, middle, tool, h)
-    start = length_change(model, law, since_valve, before, body)
+    since_fall += low * segment[0]
+    start = length_change(model, law, since_fall, before, body)
     change, end = start, body
     for _ in range(3):
         end = kernels.step(with_length(model, law, change), body, before, middle, tool, h)
-        change = 0.5 * (start + length_change(model, law, since_valve + h, tool, end))
+        change = 0.5 * (start + length_change(model, law, since_fall + h, tool, end))
     return tool, end
 
 
@@ -138,33 +140,33 @@ release (s), and the longest integration step (s).
 
 @kernel
 def _release_within(
-    switching: Switching, start: float, segment: ToolSegment, ends: tuple[float, float],
+    switching: Switching, start: float, segment: ToolSegment, part: tuple[int, float, float],
     body: State, max_step: float
 ) -> tuple[float, State]:
     """
-    Return time (s) and state of the release between two fractions of a segment, or -1 and the end.
+    Return time (s) and state of the release in a part of a segment, or -1 and the end.
 
-    The segment starts at a time (s). Before the valve nothing is released.
+    The segment starts at a time (s). The part is a phase of the toss, and the fractions of the
+    segment at its ends: within a phase the margin is smooth. Before the valve nothing is released.
     """
     model, grip, release, switched = switching
-    (low, high), since = ends, start - switched
-    is_switched = since + low * segment[0] >= -1e-12  # rounding of the fraction
-    above = 1.0
-    if is_switched:
-        above = suction_margin(model, grip, release.law, since + low * segment[0],
-                               kernels.tool_at(segment, low), body)
+    (phase, low, high), law = part, release.law
+    since, opens, above = start - switched - law[0], phase == FALLING and law[3] > 0.0, 1.0
+    if phase != HELD:
+        above = suction_margin(
+            model, grip, law, since + low * segment[0], opens, kernels.tool_at(segment, low), body)
         if above <= 0.0:
             return start + low * segment[0], body
     n = equilibrium.substeps_for((high - low) * segment[0], max_step)
     for i in range(n):
         a, b = low + (high - low) * i / n, low + (high - low) * (i + 1.0) / n
-        tool, after = _held_substep(model, release.law, since, segment, body, a, b)
-        if is_switched:
+        tool, after = _held_substep(model, law, since, opens, segment, body, a, b)
+        if phase != HELD:
             margin = suction_margin(
-                model, grip, release.law, since + b * segment[0], tool, after)
+                model, grip, law, since + b * segment[0], opens, tool, after)
             if margin <= 0.0:
                 b = a + (b - a) * above / (above - margin)
-                _, body = _held_substep(model, release.law, since, segment, body, a, b)
+                _, body = _held_substep(model, law, since, opens, segment, body, a, b)
                 return start + b * segment[0], body
             above = margin
         body = after
@@ -176,7 +178,7 @@ def find_release(
     switching: Switching, start: float, tool: State, body: State, ahead: ToolContinuation
 ) -> tuple[float, State]:
     """Return time (s) and state of the package at release, or -1 and the state at the end."""
-    switched = switching[3]
+    _, _, release, switched = switching
     rows, seconds, until, max_step = ahead
     max_step = min(max_step, RELEASE_STEP)
     for k in range(len(seconds) + 1):
@@ -190,11 +192,11 @@ def find_release(
         duration = end - start
         segment = kernels.tool_segment(tool, after, duration)
         high = min(1.0, (until - start) / duration)
-        middle = min(max((switched - start) / duration, 0.0), high)  # the valve
-        for low, last in ((0.0, middle), (middle, high)):
-            if last > low:
-                time, body = _release_within(
-                    switching, start, segment, (low, last), body, max_step)
+        valve = min(max((switched - start) / duration, 0.0), high)
+        fall = min(max((switched + release.law[0] - start) / duration, valve), high)
+        for part in ((HELD, 0.0, valve), (DELAYED, valve, fall), (FALLING, fall, high)):
+            if part[2] > part[1]:
+                time, body = _release_within(switching, start, segment, part, body, max_step)
                 if time >= 0.0:
                     return time, body
         tool, start = after, end

@@ -70,7 +70,7 @@ PRIOR_STD = 1.0
 MAX_RELATIVE_STD = 0.5
 """Largest relative standard error of an identifiable number, half the prior's."""
 
-DIFFERENCE = 1e-4
+DIFFERENCE = 1e-2
 """Step of the derivatives by logarithms and by delays in prior standard deviations."""
 
 

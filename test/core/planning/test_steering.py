@@ -105,8 +105,10 @@ def test_a_shaper_leaves_the_residual_that_it_states(move, method):
 
 @pytest.mark.parametrize(('stiffness', 'damping', 'duration', 'used'), [
     (0.25, 0.005, 0.5, 'zv'),  # 0.8 Hz: ZVD would add 1.25 s
+    (5.9, 1.84 * (5.9 * 0.00984) ** 0.5, 0.2, 'none'),  # 0.92 of critical: 0.64 s, settles before
     (4.0, 1.996 * (4.0 * 0.00984) ** 0.5, 0.2, 'none')])  # 0.998 of critical: 4 s
 def test_a_shaper_that_takes_longer_than_allowed_is_not_taken(stiffness, damping, duration, used):
+    """Longer than a second, or than the package needs to settle after the plan."""
     K, P = np.diag(CUP.stiffness).copy(), np.diag(CUP.damping).copy()
     K[5], P[5] = stiffness, damping
     model = model_tuple(Cup(np.diag(K), np.diag(P), 0.046), PACKAGE, 9.81)

@@ -51,6 +51,18 @@ def test_release_and_landing_agree_with_an_independent_integrator(held, switched
     assert np.abs(np.concatenate(found.landing[2:]) - landed[3]).max() < 1e-5
 
 
+@pytest.mark.parametrize('delay', [0.0103, 0.0107])
+@pytest.mark.parametrize('fall', [0.0, 1e-4])
+def test_a_sudden_end_of_the_suction_lets_go_at_its_instant(held, delay, fall):
+    """The delay between the steps of the search: the delay alone, or SciPy, to 1 us."""
+    law = (delay, fall, *NO_LAW[2:])
+    found = toss(held, RELEASE._replace(law=law), 0.5).release_time
+    expected = 0.5 + delay
+    if fall:
+        (expected, *_), _ = tosses.integrate(plain(held.states[0]), 0.5, law, RELEASE.height)
+    assert abs(found - expected) < 1e-6
+
+
 OPENS = (0.015, 0.02, 60.0, 0.02, 30.0, 1.5)
 """A cup that opens by some 20 mm under a blow-off."""
 
