@@ -416,7 +416,8 @@ def _mjcf(arguments: Any, console: 'Console') -> Outcome:
 @command(
     *PLAN_OPTIONS,
     click.option('--fastest', is_flag=True, help=(
-        'find the shortest time with a safety factor, less two sigma, above safety.least')),
+        'find the shortest time with a safety factor, less two sigma, above safety.least; with '
+        '--steer of a motion without swing')),
     click.option('--steer', type=click.Choice(['zv', 'zvd']), help=(
         'shape the motion so that the package does not swing: it takes longer; zvd is less '
         'sensitive to errors in cup and package than zv')),
@@ -445,16 +446,14 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
     from bellows_ros.report.printed import print_plan
     from bellows_ros.workflows import plan as workflow
 
-    if arguments.steer and arguments.fastest:
-        raise BellowsError('--fastest is of the plan, not of --steer. Give one of both.')
     values = read_settings(arguments, cup_for=console)
     console.progress('planning')
     more = {'urdf': str(arguments.urdf or ''), 'topic': arguments.topic,
-            'limits': arguments.limits or ''}
-    result = workflow.steer_plan(
-        arguments.plan, values, arguments.steer, **more) if (
-        arguments.steer) else workflow.plan(
-            arguments.plan, values, seek_fastest=arguments.fastest, **more)
+            'limits': arguments.limits or '', 'seek_fastest': arguments.fastest}
+    if arguments.steer:
+        result = workflow.steer_plan(arguments.plan, values, arguments.steer, **more)
+    else:
+        result = workflow.plan(arguments.plan, values, **more)
     if arguments.out:
         workflow.write_prediction(
             arguments.out, result.source, result.result.source.tool, result.prediction.states,

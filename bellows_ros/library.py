@@ -442,7 +442,7 @@ def toss(
     motion, parameters, urdf, topic
         As in `plan`, with release.* among the parameters.
     release : float, optional
-        Time of the valve, s since the first point of the motion.
+        Time of the valve, s from the time 0 of the plan.
     target : (x, y), optional
         Target of B, m, for which the time of the valve is searched.
 

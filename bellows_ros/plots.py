@@ -50,10 +50,14 @@ SHORTEST, LONGEST = 6.0, 20.0
 """Durations of an animation, s: shorter motions are slowed down, longer ones are cut."""
 MIN_SPAN = np.repeat([2.0, 0.1], 3)
 """Smallest range of an axis with measured coordinates, mm and degrees: the noise of cameras."""
+DRAWN_SECONDS = 5.0
+"""Part of a long recording that is drawn in full, s: a package swings 10 to 20 times in it."""
+BINS = 40
+"""Number of bins of the envelope of a long recording: each is longer than a swing."""
 GAP_PERIODS = 3.0
 """Shortest gap that interrupts a line, median periods."""
 MAX_FACTOR = 4.0
-"""Largest drawn safety factor, relative to the required factor."""
+"""Largest drawn safety factor, relative to the required factor, and to half the smallest one."""
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 EDGES = [[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit]
 """Corners of a unit box, and its edges as indices of corners."""
@@ -141,6 +145,57 @@ def figure_of(result: CommandResult) -> Any:
 CommandResult.figure = figure_of
 
 
+class Compared(NamedTuple):
+    """Coordinates to draw, in displayed units: times, s, with measured and predicted ones."""
+
+    seconds: Array
+    measured: Array
+    predicted: Array
+    curve: tuple[Array, Array]
+    """Times (M,), s, and coordinates (M, 6) of the whole prediction."""
+    of_tag: bool
+    """Whether the measured poses are of a tag."""
+
+    @property
+    def error(self) -> Array:
+        """Predicted minus measured (N, 6); NaN where one is missing."""
+        return self.predicted - self.measured
+
+    @property
+    def error_name(self) -> str:
+        """Name of the error."""
+        return 'noise of the tag' if self.of_tag else 'error'
+
+    def between(self, begin: float, end: float) -> 'Compared':
+        """Return the part between two times, s, with all gaps (NaN)."""
+        inside, within = (~((t < begin) | (t > end)) for t in (self.seconds, self.curve[0]))
+        return Compared(
+            self.seconds[inside], self.measured[inside], self.predicted[inside],
+            (self.curve[0][within], self.curve[1][within]), self.of_tag)
+
+
+def compared(
+    seconds: Array, comparison: Comparison, whole: tuple[Array, Array] | None
+) -> Compared:
+    """
+    Return measured and predicted coordinates to draw, with NaN in gaps.
+
+    Positions are drawn from the first predicted one. Of a tag the times (s) and coordinates (M, 6)
+    of the whole prediction are given.
+    """
+    curve = (seconds, comparison.predicted) if whole is None else whole
+    known = curve[1][np.isfinite(curve[1]).all(axis=1)]
+    first = np.append(known[0, :3], np.zeros(3)) if len(known) else np.zeros(6)
+    steps = np.diff(seconds)
+    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
+    t, measured, predicted = (np.insert(rows, gaps, np.nan, axis=0) for rows in (
+        seconds, DISPLAY_FACTORS * (comparison.measured - first),
+        DISPLAY_FACTORS * (comparison.predicted - first)))
+    drawn = (t, predicted) if whole is None else (
+        whole[0], DISPLAY_FACTORS * (whole[1] - first))
+    return Compared(t, measured, predicted, drawn, whole is not None)
+
+
 def comparison_figure(
     seconds: Array, comparison: Comparison, title: str, note: str,
     whole: tuple[Array, Array] | None = None,
@@ -149,38 +204,106 @@ def comparison_figure(
     Draw predicted and measured coordinates (N, 6) over time (s), each with its error below.
 
     Lines are interrupted at missing values. Poses of a tag are points, beside times (s) and
-    coordinates (M, 6) of the whole prediction.
+    coordinates (M, 6) of the whole prediction. A long recording is drawn as an envelope, with the
+    `DRAWN_SECONDS` of the largest error beside it.
     """
-    steps = np.diff(seconds)
-    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) + 1
-    points: Mapping[str, Any] = {'linestyle': '', 'marker': '.', 'markersize': 2.0}
-    wide, thin = (points, points) if whole else ({'linewidth': 3.6}, {'linewidth': 0.6})
-    error = 'noise of the tag' if whole else 'error'
-    t, measured, predicted = (np.insert(rows, gaps, np.nan, axis=0) for rows in (
-        seconds, DISPLAY_FACTORS * comparison.measured, DISPLAY_FACTORS * comparison.predicted))
-    curve = (whole[0], DISPLAY_FACTORS * whole[1]) if whole else (t, predicted)
-    scores = comparison.scores
-    with picture(title, note, (11.0, 8.4)) as figure:
-        panels = figure.subplots(6, 2, sharex=True, height_ratios=(3.2, 1.0) * 3)
-        for i, (axis, unit, factor) in enumerate(
-                zip(AXES, DISPLAY_UNITS, DISPLAY_FACTORS, strict=True)):
-            upper, lower = panels[2 * (i % 3):2 * (i % 3) + 2, i // 3]
-            upper.plot(t, measured[:, i], color=MEASURED, label='measured', **wide)
-            upper.plot(curve[0], curve[1][:, i], color=PREDICTED, linewidth=0.9, label='predicted')
-            lower.plot(t, (predicted - measured)[:, i], color=ERROR,
-                       label='predicted minus measured', **thin)
-            low, high = upper.get_ylim()
-            lack = 0.5 * max(0.0, MIN_SPAN[i] - (high - low))
-            upper.set_ylim(low - lack, high + lack)
-            upper.set_ylabel(f'{axis} ({unit})')
-            lower.set_ylabel(error.split()[0], color=ERROR)
-            upper.set_title(f'{error} RMS {factor * scores.rms[i]:.2g} {unit}, largest '
-                            f'{factor * scores.largest[i]:.2g} {unit}', loc='right', fontsize=8.5)
+    part = everything = compared(seconds, comparison, whole)
+    is_long = float(seconds[-1] - seconds[0]) > 2.0 * DRAWN_SECONDS
+    note += '; positions from the first predicted one'
+    if is_long:
+        begin, end = worst_part(seconds, comparison.error)
+        part = everything.between(begin, end)
+        note += f'; left: envelope of all, right: the worst {end - begin:.0f} s'
+    with picture(title, note, (15.0, 8.4) if is_long else (11.0, 8.4)) as figure:
+        columns = 4 if is_long else 2
+        panels = figure.subplots(6, columns, sharex='col', height_ratios=(3.2, 1.0) * 3)
+        for i, scores in enumerate(zip(
+                DISPLAY_FACTORS * comparison.scores.rms,
+                DISPLAY_FACTORS * comparison.scores.largest, strict=True)):
+            pairs = panels[2 * (i % 3):2 * (i % 3) + 2]
+            last = (i // 3 + 1) * columns // 2 - 1
+            _draw_curves(pairs[:, last], part, i)
+            if is_long:
+                _draw_envelopes(pairs[:, last - 1], everything, i)
+                pairs[0, last - 1].axvspan(begin, end, color=GRID, zorder=0)
+            _name_axis(pairs[:, last - is_long], i, everything.error_name, *scores)
         for panel in panels[-1]:
             panel.set_xlabel('time (s)')
-        handles = [line for panel in panels[:2, 0] for line in panel.get_lines()]
+        handles = [line for panel in panels[:2, columns // 2 - 1] for line in panel.get_lines()]
         figure.legend(handles=handles, loc='upper right', ncols=3)
     return figure
+
+
+def _draw_curves(panels: Any, part: Compared, i: int) -> None:
+    """Draw measured and predicted coordinate i in the first panel, and their difference below."""
+    points: Mapping[str, Any] = {'linestyle': '', 'marker': '.', 'markersize': 2.0}
+    wide, thin = (points, points) if part.of_tag else ({'linewidth': 3.6}, {'linewidth': 0.6})
+    upper, lower = panels
+    upper.plot(part.seconds, part.measured[:, i], color=MEASURED, label='measured', **wide)
+    upper.plot(part.curve[0], part.curve[1][:, i], color=PREDICTED, linewidth=0.9,
+               label='predicted')
+    lower.plot(part.seconds, part.error[:, i], color=ERROR, label='predicted minus measured',
+               **thin)
+    _widen(upper, i)
+
+
+def _draw_envelopes(panels: Any, everything: Compared, i: int) -> None:
+    """Draw smallest and largest values of coordinate i in the first panel, of its error below."""
+    upper, lower = panels
+    upper.fill_between(*envelope(everything.seconds, everything.measured[:, i]), color=MEASURED,
+                       linewidth=0.0)
+    times, low, high = envelope(everything.curve[0], everything.curve[1][:, i])
+    for edge in (low, high):
+        upper.plot(times, edge, color=PREDICTED, linewidth=0.9)
+    lower.fill_between(*envelope(everything.seconds, everything.error[:, i]), color=ERROR,
+                       linewidth=0.0)
+    _widen(upper, i)
+
+
+def _widen(panel: Any, i: int) -> None:
+    """Widen the range of coordinate i to at least `MIN_SPAN`."""
+    low, high = panel.get_ylim()
+    lack = 0.5 * max(0.0, MIN_SPAN[i] - (high - low))
+    panel.set_ylim(low - lack, high + lack)
+
+
+def _name_axis(panels: Any, i: int, error: str, rms: float, largest: float) -> None:
+    """Write the name of coordinate i, and its RMS and largest error in displayed units."""
+    upper, lower = panels
+    unit = DISPLAY_UNITS[i]
+    upper.set_ylabel(f'{AXES[i]} ({unit})')
+    lower.set_ylabel(error.split()[0], color=ERROR)
+    upper.set_title(f'{error} RMS {rms:.2g} {unit}, largest {largest:.2g} {unit}', loc='right',
+                    fontsize=8.5)
+
+
+def worst_part(seconds: Array, error: Array) -> tuple[float, float]:
+    """
+    Return begin and end (s) of the `DRAWN_SECONDS` with the largest error.
+
+    The errors (N, 6) at times (N,) are counted relative to the RMS of each axis.
+    """
+    rms = np.sqrt(np.nanmean(error**2, axis=0))
+    relative = error / np.where(rms > 0.0, rms, 1.0)
+    summed = np.append(0.0, np.cumsum(np.nansum(relative**2, axis=1)))
+    ends = np.searchsorted(seconds, seconds + DRAWN_SECONDS, 'right')
+    begin = float(seconds[np.argmax(summed[ends] - summed[:-1])])
+    begin = max(min(begin, float(seconds[-1]) - DRAWN_SECONDS), float(seconds[0]))
+    return begin, begin + DRAWN_SECONDS
+
+
+def envelope(seconds: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Return middles (K,), s, and smallest and largest values in `BINS` bins; NaN if empty."""
+    finite = np.isfinite(seconds)
+    seconds, values = seconds[finite], values[finite]
+    edges = np.linspace(seconds[0], seconds[-1], BINS + 1)
+    low, high = np.full((2, BINS), np.nan)
+    bounds = np.append(np.searchsorted(seconds, edges[:-1]), len(seconds))
+    for k in range(BINS):
+        inside = values[bounds[k]:bounds[k + 1]]
+        if np.isfinite(inside).any():
+            low[k], high[k] = np.nanmin(inside), np.nanmax(inside)
+    return 0.5 * (edges[:-1] + edges[1:]), low, high
 
 
 def replay_figure(result: Any) -> Any:
@@ -192,18 +315,32 @@ def replay_figure(result: Any) -> Any:
             since(found.tool.stamps_ns), relative_coordinates(found.tool, found.package)))
 
 
+def _plan_note(report: Any, is_part: bool, has_bands: bool) -> str:
+    """Return the conditions and signs of the picture of a plan, which may show only a part."""
+    motion, name = report.result, next(iter(report.motions))
+    parts = [f'{report.source.path}, {name}', 'dashed: safety.least', 'red: the cup lets go']
+    if is_part:
+        begin, end = motion.drawn
+        parts.append(f'the worst {end - begin:.0f} of {motion.source.duration:.0f} s')
+    else:
+        parts.append('dotted: the end')
+    if has_bands:
+        parts.append('bands: ± 2 std')
+    return '; '.join(parts)
+
+
 def plan_figure(report: Any) -> Any:
     """Draw package and grip along a plan, with bands of two standard deviations."""
-    motion, (name, *_) = report.result, report.motions
+    motion = report.result
     (t, tool, values, std), least = motion.curves, report.source.values.safety.least
-    seen, duration, (begin, end) = values[:, :3] - tool, motion.source.duration, motion.drawn
-    unknown = ': set cup.lip_radius, vacuum.holding' * (report.prediction.grip is None)
-    note = f'{report.source.path}, {name}; dashed: safety.least; red: the cup lets go'
-    if end < duration:
-        note = f'{note}; the worst {end - begin:.0f} of {duration:.0f} s'
-    note += '; dotted: the end' * (end > duration) + '; bands: ± 2 std' * bool(std.any())
-    t, values, std, seen, tool = (rows[(t >= begin) & (t <= end)] for rows in (
-        t, values, std, seen, tool))
+    begin, end = motion.drawn
+    stop = motion.source.begin + motion.source.duration
+    factor = 'safety factor'
+    if report.prediction.grip is None:
+        factor += ': set cup.lip_radius, vacuum.holding'
+    inside, first = (t >= begin) & (t <= end), values[0, 12:]
+    t, tool, values, std = t[inside], tool[inside], values[inside], std[inside]
+    note = _plan_note(report, end < stop, bool(std.any()))
     with picture('Package and grip along the plan', note) as figure:
         panels = figure.subplots(3, 2, sharex=True).ravel()
         panels[0].plot(t, tool, color=QUIET)
@@ -211,13 +348,13 @@ def plan_figure(report: Any) -> Any:
         panels[1].axhspan(0.0, 1.0, color=PREDICTED, alpha=0.12, linewidth=0.0)
         shown_curves = (
             ('position (m), grey: the tool', values[:, :3], std[:, :3], 'xyz'),
-            (f'safety factor{unknown}', values[:, 4:6], std[:, 4:6], ('peel', 'slip')),
-            ('package seen from the tool tip (mm)', 1e3 * (seen - seen[0]), 1e3 * std[:, :3],
-             'xyz'),
+            (factor, values[:, 4:6], std[:, 4:6], ('peel', 'slip')),
+            ('shift in the frame of the tool (mm)', 1e3 * (values[:, 12:] - first),
+             1e3 * std[:, 12:], 'xyz'),
             ('force at the lip (N)', values[:, 6:9], std[:, 6:9], 'xyz'),
             ('bending of the cup (deg)', np.degrees(values[:, 3:4]), np.degrees(std[:, 3:4]),
              ['angle']),
-            ('moment at the lip (N m)', values[:, 9:], std[:, 9:], 'xyz'))
+            ('moment at the lip (N m)', values[:, 9:12], std[:, 9:12], 'xyz'))
         for panel, (title, rows, errors, names) in zip(panels, shown_curves, strict=True):
             for value, band, colour, name in zip(
                     rows.T, 2.0 * errors.T, THREE, names, strict=False):
@@ -225,9 +362,10 @@ def plan_figure(report: Any) -> Any:
                 panel.plot(t, value, color=colour, linewidth=1.2, label=name)
             panel.set_title(title)
             panel.legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=4)
-            panel.axvline(duration, color=QUIET, linewidth=0.8, linestyle=':')
+            panel.axvline(stop, color=QUIET, linewidth=0.8, linestyle=':')
             panel.set_xlim(t[0], t[-1])
-        panels[1].set_ylim(0.0, MAX_FACTOR * least)
+        smallest = float(values[:, 4:6].min())
+        panels[1].set_ylim(0.0, max(MAX_FACTOR * least, 0.5 * MAX_FACTOR * smallest))
         for panel in panels[-2:]:
             panel.set_xlabel('time (s)')
     return figure
@@ -237,9 +375,9 @@ def toss_figure(result: Any) -> Any:
     """Draw a toss from the side and from above, and its landing enlarged."""
     toss, case, landing = result.toss, result.case, np.array(result.toss.landing[0][:2])
     ((tool, package),) = result.scenes().values()
-    held, path = np.split(
-        package.position, [np.searchsorted(package.seconds, toss.release_time)])
-    switched = held[np.searchsorted(package.seconds[:len(held)], case.switched) - 1]
+    times = result.source.begin + package.seconds
+    held, path = np.split(package.position, [np.searchsorted(times, toss.release_time)])
+    switched = held[np.searchsorted(times[:len(held)], case.switched) - 1]
     note = (f'{result.source.path}: valve {case.switched:.3f} s, lets go {toss.release_time:.3f} '
             f's, lands {toss.landing_time:.3f} s')
     with picture('Toss', note, (11.0, 7.2)) as figure:

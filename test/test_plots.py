@@ -43,15 +43,48 @@ def test_each_axis_has_both_curves_and_their_difference(figure, comparison):
         measured, predicted, error = (
             line.get_ydata() for line in (*upper.get_lines(), *lower.get_lines()))
         kept = ~np.isnan(predicted)
-        np.testing.assert_allclose(measured[kept], factor * comparison.measured[:, axis])
-        np.testing.assert_allclose(predicted[kept], factor * comparison.predicted[:, axis])
+        first = comparison.predicted[0, axis] * (axis < 3)
+        np.testing.assert_allclose(
+            measured[kept], factor * (comparison.measured[:, axis] - first))
+        np.testing.assert_allclose(
+            predicted[kept], factor * (comparison.predicted[:, axis] - first))
         np.testing.assert_allclose(error, predicted - measured)
         assert [int(np.isnan(each).sum()) for each in (measured, predicted, error)] == [6, 1, 6]
 
 
-def test_words_stay_on_the_page_and_cover_no_others(figure):
+LONG = np.arange(2500) / 100.0
+
+
+@pytest.fixture(scope='module')
+def long_figure():
+    """Give the picture of 25 s whose error is largest from 11 to 14 s, with a peak at 20 s."""
+    rng = np.random.default_rng(3)
+    measured = 0.01 * np.sin(12.0 * LONG)[:, None] * np.ones(6)
+    noise = 1e-4 * rng.standard_normal((len(LONG), 6))
+    noise[(LONG > 11.0) & (LONG < 14.0)] *= 8.0
+    noise[2000] += 2e-3
+    predicted = measured + noise
+    return plots.comparison_figure(
+        LONG, Comparison(np.rint(1e9 * LONG).astype(np.int64), measured, predicted,
+                         score(measured, predicted)), 'Title', 'a recording')
+
+
+def test_a_long_recording_is_an_envelope_beside_its_worst_five_seconds(long_figure):
+    """The envelope has the peak, the part in full the time of the largest error."""
+    panels = np.reshape(long_figure.axes, (6, 4))
+    for whole, part, factor in ((0, 1, FACTORS[0]), (2, 3, FACTORS[3])):
+        t = panels[0, part].get_lines()[0].get_xdata()
+        assert t[0] <= 11.0 and t[-1] >= 14.0 and t[-1] - t[0] < plots.DRAWN_SECONDS + 1e-6
+        assert len(t) == 1 + round(100.0 * (t[-1] - t[0]))
+        error = panels[1, whole].collections[0].get_paths()[0].get_extents()
+        assert error.x0 < 0.5 and error.x1 > 24.5 and error.y1 > 1.8e-3 * factor
+
+
+@pytest.mark.parametrize('name', ['figure', 'long_figure'])
+def test_words_stay_on_the_page_and_cover_no_others(name, request):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+    figure = request.getfixturevalue(name)
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw(renderer)
     width, height = figure.canvas.get_width_height()

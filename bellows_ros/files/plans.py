@@ -6,18 +6,19 @@ interpolated.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-import json
 from operator import attrgetter
 import struct
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.parameters.conversion import tip_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning.arm import Arm, read_arm
 from bellows_ros.core.planning.points import (
+    contradiction,
     JointPath,
     Joints,
     plan_of,
@@ -36,6 +37,13 @@ PATH = 'nav_msgs/msg/Path'
 JOINTS = 'trajectory_msgs/msg/JointTrajectory'
 STATES = 'sensor_msgs/msg/JointState'
 DESCRIPTION = 'std_msgs/msg/String'
+LAWS = {
+    'spline': 'along a cubic spline from rest to rest, for lack of velocities',
+    'linear': 'linearly, as ros2_control moves joints that have positions alone',
+    'cubic': 'along cubic polynomials, as ros2_control moves joints that have velocities',
+    'quintic': 'along quintic polynomials, as ros2_control moves joints that have accelerations'}
+"""Motions between the points of a plan."""
+
 PLAN_TYPES = (MULTI_DOF, PATH, JOINTS, 'moveit_msgs/msg/RobotTrajectory',
               'moveit_msgs/msg/DisplayTrajectory')
 """Message types of plans."""
@@ -55,7 +63,7 @@ class Plan(NamedTuple):
     names : tuple of str
         Names of the joints; one, the moving frame, for poses.
     times_ns : int array (N,)
-        Times from the start, ns.
+        Times from the start of the plan, ns; the first may be above 0.
     points : array (N, 7) or (N, K)
         Position (m) and quaternion xyzw, or positions of the joints, rad or m.
     rates, accelerations : array or None
@@ -72,15 +80,37 @@ class Plan(NamedTuple):
     rates: Array | None = None
     accelerations: Array | None = None
 
+    @property
+    def law(self) -> str:
+        """Motion between the points, a key of `LAWS`; '' for a tool with velocities."""
+        if self.kind != JOINTS:
+            return 'spline' if self.rates is None else ''
+        if self.rates is None:
+            return 'linear'
+        return 'cubic' if self.accelerations is None else 'quintic'
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings on the motion between the points, and before the first."""
+        found = [Finding('interpolated', Level.OK, {'law': LAWS[self.law]})] if self.law else []
+        if self.times_ns[0] > 0:
+            found.append(Finding(
+                'late_start', Level.WARN, {'begin': float(self.times_ns[0]) / NS_PER_S}))
+        return tuple(found)
+
 
 def plan_of_motion(
-    motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str
+    motion: Trajectory, stamp_ns: int, frame_id: str, name: str, axes: str, start_ns: int
 ) -> Plan:
-    """Return a motion as the plan of a body, with twists in axes of the 'world' or of the body."""
+    """
+    Return a motion as the plan of a body that starts at a stamp (ns).
+
+    The twists have axes of the 'world' or of the body.
+    """
     twist = np.asarray(motion.twist)
     if axes == 'world':
         twist = lie.apply(motion.rotation[:, None], twist.reshape(-1, 2, 3)).reshape(-1, 6)
-    return Plan(MULTI_DOF, stamp_ns, frame_id, (name,), motion.stamps_ns - motion.stamps_ns[0],
+    return Plan(MULTI_DOF, stamp_ns, frame_id, (name,), motion.stamps_ns - start_ns,
                 pose_rows(motion), twist)
 
 
@@ -103,9 +133,11 @@ def motion_of(
     return at_tip(tool, tip), None
 
 
-def plan_of_path(stamp_ns: int, frame_id: str, names: Sequence[str], path: JointPath) -> Plan:
-    """Return a motion of joints as a plan."""
-    times_ns = np.round(path.seconds * NS_PER_S).astype(np.int64)
+def plan_of_path(
+    stamp_ns: int, frame_id: str, names: Sequence[str], path: JointPath, first_ns: int
+) -> Plan:
+    """Return a motion of joints as a plan whose first point is at a time (ns) from its start."""
+    times_ns = first_ns + np.round(path.seconds * NS_PER_S).astype(np.int64)
     return Plan(JOINTS, stamp_ns, frame_id, tuple(names), times_ns, *path[1:])
 
 
@@ -194,12 +226,16 @@ def plans_of(message: Any) -> list[Plan]:
     """
     if hasattr(message, 'poses'):
         return [_path(message)]
-    if hasattr(message, 'trajectory') or hasattr(message, 'joint_trajectory'):
-        parts = [each.joint_trajectory if each.joint_trajectory.points  # of joints, or of a body
-                 else each.multi_dof_joint_trajectory
-                 for each in getattr(message, 'trajectory', [message])]
-        return [_points(part) for part in parts if part.points]
-    return [_points(message)]
+    trajectory = getattr(message, 'trajectory', message)
+    if hasattr(message, 'joint_trajectory'):
+        robots = [message]
+    elif hasattr(message, 'trajectory') and not hasattr(trajectory, 'points'):
+        robots = trajectory
+    else:  # alone, or the goal of an action
+        return [_points(trajectory)]
+    parts = [robot.joint_trajectory if robot.joint_trajectory.points  # of joints, or of a body
+             else robot.multi_dof_joint_trajectory for robot in robots]
+    return [_points(part) for part in parts if part.points]
 
 
 def _points(message: Any) -> Plan:
@@ -293,24 +329,50 @@ def plans_in_yaml(content: Mapping[str, Any], name: str) -> list[Plan]:
         If the text is not a message with a plan.
 
     """
+    where = getattr(content, 'where', lambda keys: f'{name}: ')
     try:
-        message: Any = json.loads(json.dumps(content), object_hook=lambda x: SimpleNamespace(**x))
-        if read := plans_of(message):
+        if read := plans_of(_as_message(content, where)):
             return read
         raise ValueError('it has no trajectory')
     except (AttributeError, IndexError, OverflowError, TypeError, ValueError) as error:
-        missing = getattr(error, 'name', '')
+        missing, place = getattr(error, 'name', ''), getattr(
+            getattr(error, 'obj', None), 'yaml_keys', ())
         why = (f"'{missing}' is missing" if missing else
                f'a part has another form ({shown(str(error))})')
         raise BellowsError(
-            f"'{name}' holds no plan: {why}. Expected one of {', '.join(PLAN_TYPES)} as 'ros2 "
-            "topic echo --once --full-length' prints it, or a motion of 'bellows simulate'."
-        ) from None
+            f'{where(place)}there is no plan: {why}. Expected one of '
+            f"{', '.join(PLAN_TYPES)} as 'ros2 topic echo --once --full-length' prints it, the "
+            "goal of a FollowJointTrajectory, or a motion of 'bellows simulate'.") from None
 
 
-def recorded_joints(path: File, arm: Arm) -> Plan:
+def _as_message(content: Any, where: Callable[[Sequence[str]], str], *keys: str) -> Any:
+    """Return a part of a YAML file as a message, whose parts have their keys; refuse a cut one."""
+    if isinstance(content, Mapping):
+        return SimpleNamespace(yaml_keys=keys, **{
+            name: _as_message(part, where, *keys, name) for name, part in content.items()})
+    if isinstance(content, list):
+        *parents, last = keys or ('',)
+        return [_as_message(part, where, *parents, f'{last}[{number}]')
+                for number, part in enumerate(content)]
+    if content == '...':
+        raise BellowsError(
+            f"{where(keys)}the message is cut here ('...'); expected all of its points. Print it "
+            "by 'ros2 topic echo --once --full-length'.")
+    return content
+
+
+class RecordedJoints(NamedTuple):
+    """Tool poses of recorded joint states, and findings on their velocities."""
+
+    plan: Plan
+    findings: tuple[Finding, ...]
+
+
+def recorded_joints(path: File, arm: Arm) -> RecordedJoints:
     """
     Return the tool poses of recorded joint states, with twists if they have velocities.
+
+    Velocities that contradict the positions, as zero or constant ones, are left out.
 
     Raises
     ------
@@ -329,15 +391,22 @@ def recorded_joints(path: File, arm: Arm) -> Plan:
     useful = [states[stamp] for stamp in stamps.tolist()]
     columns = [arm.columns(m.name, where) for m in useful]
     position = np.array([m.position[own] for m, own in zip(useful, columns, strict=True)])
-    velocity = np.array([m.velocity[own] for m, own in zip(useful, columns, strict=True)]) if all(
-        len(m.velocity) == len(m.name) for m in useful) else None
+    velocity, findings = None, list[Finding]()
+    if all(len(m.velocity) == len(m.name) for m in useful):
+        velocity = np.array([m.velocity[own] for m, own in zip(useful, columns, strict=True)])
     fresh = ~repeated(np.linalg.norm(np.diff(position, axis=0), axis=1))
     stamps, position = stamps[fresh], position[fresh]
-    velocity = None if velocity is None else velocity[fresh]
+    if velocity is not None:
+        velocity = velocity[fresh]
+        durations, steps = np.diff(stamps) / NS_PER_S, np.diff(position, axis=0)
+        if len(stamps) > 1 and contradiction(durations, steps, velocity) is not None:
+            velocity = None
+            findings.append(Finding('joint_velocities', Level.OK))
     T, twist = arm.tool(position, velocity)
     poses = np.hstack([T[:, :3, 3], lie.rotation_to_quaternion(T[:, :3, :3])])
-    return Plan(MULTI_DOF, int(stamps[0]), arm.root, ('tool',), stamps - stamps[0], poses,
+    plan = Plan(MULTI_DOF, int(stamps[0]), arm.root, ('tool',), stamps - stamps[0], poses,
                 None if velocity is None else twist)
+    return RecordedJoints(plan, tuple(findings))
 
 
 def arm_of(urdf: File, tool_link: str, recording: File = '') -> Arm:

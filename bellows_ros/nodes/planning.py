@@ -21,9 +21,9 @@ from ..core.model.validity_range import flip_finding
 from ..core.parameters.conversion import parameter_envelope, tip_of
 from ..core.planning.arm import read_arm
 from ..core.planning.plan_prediction import NO_ABORT, PlanPrediction, PlanSimulation
-from ..core.planning.points import joint_excess, Joints, plan_of
+from ..core.planning.points import joint_excess, Joints, plan_of, speed_step_finding
 from ..core.planning.steering import steer
-from ..core.signals.trajectory import from_tip, same_frame, Trajectory
+from ..core.signals.trajectory import from_tip, NS_PER_S, same_frame, Trajectory
 from ..errors import BellowsError
 from ..files import messages, plans
 from ..files.plans import Plan
@@ -62,6 +62,7 @@ class Planning:
         self._urdf, self._warming = '', Once(node, self._warm_up)
         self._stop, self._answering = np.zeros(1, np.bool_), Future[None]()
         self._outcome: PlanPrediction | Status | None = None
+        self._findings: tuple[Finding, ...] = ()
         sys.setswitchinterval(5e-5)  # s; limits the wait of the live prediction
         for kind, topic, name in (
                 (MultiDOFJointTrajectory, 'tool_arm/plan', plans.MULTI_DOF),
@@ -101,7 +102,7 @@ class Planning:
         try:
             plan, tool, joints = self._read(kind, data)
             prediction = self._predict(tool, TAIL, stop)
-            self._outcome = prediction
+            self._outcome, self._findings = prediction, plan.findings
             self._publish(plan, tool, prediction)
             if (status := self.status) and status.level > Level.OK:
                 self._pipeline.node.get_logger().warning(f'Plan: {status.message}')
@@ -126,7 +127,7 @@ class Planning:
         motion = Trajectory(tool.stamps_ns, states[:, :3], quaternion_to_rotation(states[:, 3:7]),
                             states[:, 7:])
         package = plans.plan_of_motion(
-            motion, plan.stamp_ns, frame, messages.PACKAGE_FRAME, values.tool_twist.frame)
+            motion, plan.stamp_ns, frame, messages.PACKAGE_FRAME, values.tool_twist.frame, 0)
         if self._plan_out.subscribed:
             self._plan_out.publish(plans.encode(package))
         if self._path_out.subscribed:
@@ -140,20 +141,29 @@ class Planning:
             return outcome
         safety, outside = outcome.smallest_safety, outcome.outside(
             parameter_envelope(values), values.package.mass, values.vacuum.holding)
-        message = ' '.join(warnings(filter(None, (
-            safety_finding(*safety[:2], 0.0, values.safety.least) if outcome.grip else None,
-            Finding('outside', Level.WARN, {'ranges': '; '.join(outside)}) if outside else None,
-            flip_finding(outcome.bending)))))
+        found = [
+            *self._findings, speed_step_finding(outcome.tool), flip_finding(outcome.bending)]
+        if outcome.grip is not None:
+            found.insert(0, safety_finding(*safety[:2], 0.0, values.safety.least))
+        if outside:
+            found.append(Finding('outside', Level.WARN, {'ranges': '; '.join(outside)}))
+        message = ' '.join(warnings(each for each in found if each))
         released = outcome.grip is not None and safety[0] < 1.0
+        figures = outcome.summary()
+        figures['smallest_safety_time'] += float(outcome.tool.stamps_ns[0]) / NS_PER_S
         level = Level.ERROR if released else Level.WARN if message else Level.OK
         return Status('plan', fact(
             'state', level, state=message or 'The plan is within all given limits.'), {
             f'{name} (degrees)' if name in ANGLES else name:
             number(math.degrees(value) if name in ANGLES else value)
-            for name, value in outcome.summary().items()})
+            for name, value in figures.items()})
 
     def _read(self, kind: str, data: bytes) -> tuple[Plan, Trajectory, Joints | None]:
-        """Return a plan of the tool or of joints, the motion of E by it, and its joints."""
+        """
+        Return a plan of the tool or of joints, the motion of E by it, and its joints.
+
+        The stamps of the motion are times from the start of the plan.
+        """
         live, arm = self._pipeline.live, None
         if kind == plans.JOINTS:
             if not (self._urdf and live.values.tool_link):
@@ -193,11 +203,12 @@ class Planning:
         if joints is None:
             return plans.plan_of_motion(
                 from_tip(steered, tip_of(values)), plan.stamp_ns, plan.frame_id, 'tool',
-                values.tool_twist.frame)
+                values.tool_twist.frame, 0)
         path = joints.along(steered, tool)
         factor, limit = joint_excess(joints.arm, path, math.inf)
         if limit:
             raise BellowsError(
                 f'Steered, it exceeds the limit {limit}; expected {factor:.4g} times its '
                 'duration. Slow the plan down.')
-        return plans.plan_of_path(plan.stamp_ns, plan.frame_id, joints.arm.moving, path)
+        return plans.plan_of_path(
+            plan.stamp_ns, plan.frame_id, joints.arm.moving, path, int(tool.stamps_ns[0]))

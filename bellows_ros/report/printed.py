@@ -168,7 +168,7 @@ def _figure(motion: Effect, name: str, unit: str) -> str:
     if name != 'smallest_safety_factor':
         return found
     _, mode, time = motion.prediction.smallest_safety
-    return f'{found} ({mode}, at {time:.3f} s)'
+    return f'{found} ({mode}, at {motion.source.begin + time:.3f} s)'
 
 
 def print_toss(result: TossResult, out: Any) -> None:

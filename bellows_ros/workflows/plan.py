@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import quaternion_to_rotation
+from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
 from bellows_ros.core.live.predictor import points_down
 from bellows_ros.core.model import simulation
 from bellows_ros.core.model.cup_package import contributions, mean_square, model_tuple
@@ -28,8 +28,13 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning import limits as bounding
 from bellows_ros.core.planning import points, steering
 from bellows_ros.core.planning.limits import Fastest, Limits
-from bellows_ros.core.planning.plan_prediction import MAX_TAIL, PlanPrediction, PlanSimulation
-from bellows_ros.core.planning.points import Joints, plan_of, timed
+from bellows_ros.core.planning.plan_prediction import (
+    MAX_TAIL,
+    PlanPrediction,
+    PlanSimulation,
+    SETTLED_ANGLE,
+)
+from bellows_ros.core.planning.points import Joints, plan_of, speed_step_finding, timed
 from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals import resampling, savgol, trajectory
@@ -95,6 +100,8 @@ class Source:
         Stamps of the measured poses, ns; None for a planned motion.
     joints : Joints or None
         Arm of a plan of joints, otherwise None.
+    start_ns : int or None
+        Stamp of the plan's time 0, ns, from which all times are counted; None for its first point.
 
     """
 
@@ -105,6 +112,13 @@ class Source:
     notes: tuple[Finding, ...] = ()
     recorded_ns: Stamps | None = None
     joints: Joints | None = None
+    start_ns: int | None = None
+
+    @property
+    def begin(self) -> float:
+        """Time of the first point, s."""
+        first = int(self.tool.stamps_ns[0])
+        return 0.0 if self.start_ns is None else (first - self.start_ns) / NS_PER_S
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -112,7 +126,9 @@ class Source:
         rows = simulation.tool_rows(self.tool)
         at = np.argmax([simulation.stands(twist) for twist in rows[:, 7:]])  # else the first
         x, y, z = self.tool.rotation[at, :, 2].tolist()
-        return (*[Finding('tool_z')] * points_down((x, y, z), self.model[2]), *self.notes)
+        if points_down((x, y, z), self.model[2]):
+            return (Finding('tool_z'), *self.notes)
+        return self.notes
 
     @property
     def duration(self) -> float:
@@ -201,7 +217,9 @@ class Effect:
 
     def summary(self) -> dict[str, float]:
         """Return the numbers of a summary, SI units; NaN for unknown ones."""
-        return {'duration': self.source.duration, **self.prediction.summary()}
+        numbers = {'duration': self.source.duration, **self.prediction.summary()}
+        numbers['smallest_safety_time'] += self.source.begin
+        return numbers
 
     @cached_property
     def outside(self) -> tuple[str, ...]:
@@ -217,6 +235,8 @@ class Effect:
         safety = Finding('no_factor') if prediction.grip is None else safety_finding(
             *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], required)
         found = [] if safety is None else [safety]
+        if steps := speed_step_finding(self.source.tool):
+            found.append(steps)
         if flip := flip_finding(prediction.bending):
             found.append(flip)
         at_rest = {'begins': self.source.begins_at_rest, 'ends': prediction.ends_at_rest}
@@ -245,16 +265,18 @@ class Effect:
         stops = np.flatnonzero(np.diff(t[moving]) > MIN_STOP)
         begins, ends = moving[np.append(0, stops + 1)], moving[np.append(stops, -1)]
         loads = self.with_peaks(t, self.prediction.loads).max(axis=1)
-        return tuple(map(Move, t[begins].tolist(), t[ends].tolist(), (
-            1.0 / np.maximum.reduceat(loads, begins)).tolist()))
+        largest, t = np.maximum.reduceat(loads, begins), t + self.source.begin
+        return tuple(
+            Move(begin, end, 1.0 / load if load > 0.0 else math.inf) for begin, end, load in zip(
+                t[begins].tolist(), t[ends].tolist(), largest.tolist(), strict=True))
 
     @property
     def drawn(self) -> tuple[float, float]:
         """Begin and end of the picture, s: of many moves the part with the worst one."""
-        duration, half = self.source.duration, 0.5 * DRAWN_SECONDS
+        duration, half, first = self.source.duration, 0.5 * DRAWN_SECONDS, self.source.begin
         if len(self.moves) < 2 or duration <= 2.0 * DRAWN_SECONDS:
-            return 0.0, duration + TAIL_SHOWN
-        middle = min(max(self.prediction.smallest_safety[2], half), duration - half)
+            return first, first + duration + TAIL_SHOWN
+        middle = first + min(max(self.prediction.smallest_safety[2], half), duration - half)
         return middle - half, middle + half
 
     def extended(self, seconds: float) -> Trajectory:
@@ -271,24 +293,28 @@ class Effect:
         """
         Curves of the picture, including the time after a motion that ends at rest.
 
-        Times since the first point (N,), s; positions of E (N, 3), m; position of B (3, m),
-        bending (rad), safety factors against peel and slip, and wrench of the cup at the lip (6,
-        N and N m), (N, 12); and their standard deviations.
+        Times of the plan (N,), s; positions of E (N, 3), m; position of B (3, m),
+        bending (rad), safety factors against peel and slip, wrench of the cup at the lip (6, N and
+        N m), and position of B in E (3, m), (N, 15); and their standard deviations.
         """
         prediction, source = self.prediction, self.source
         tool = self.extended(min(TAIL_SHOWN, prediction.settled_after + 0.2)
                              if prediction.ends_at_rest else 0.0)
         run = PlanSimulation(source.model, source.grip, tool, tail=0.0)
+        R_tool_world = np.swapaxes(tool.rotation, 1, 2)
 
         def compute(changed: ModelTuple) -> Array:
             found = run.with_model(changed).predict()
             angle = bending(tool.rotation, quaternion_to_rotation(found.states[:, 3:7]))
             loads = self.with_peaks(tool.seconds, found.loads) if (
                 changed is source.model) else found.loads
-            return np.hstack([found.states[:, :3], angle[:, None], 1.0 / np.maximum(
-                loads, MIN_DRAWN_LOAD), found.wrench])
+            factors = 1.0 / np.maximum(loads, MIN_DRAWN_LOAD)
+            in_tool = apply(R_tool_world, found.states[:, :3] - tool.position)
+            return np.hstack(
+                [found.states[:, :3], angle[:, None], factors, found.wrench, in_tool])
 
-        return tool.seconds, tool.position, compute(source.model), source.deviations(compute)
+        times = source.begin + tool.seconds
+        return times, tool.position, compute(source.model), source.deviations(compute)
 
     def bodies(self) -> tuple[Trajectory, Trajectory]:
         """Return tool and package, including the time after a motion that ends at rest."""
@@ -417,6 +443,7 @@ def plan(
 def steer_plan(
     path: MotionSource, settings: Mapping[str, Any], method: str,
     limits: File | Mapping[str, object] = '', urdf: str = '', topic: str = '',
+    seek_fastest: bool = False,
 ) -> PlanReport:
     """
     Steer a plan of the tool so that the package does not swing.
@@ -429,6 +456,9 @@ def steer_plan(
         One of `core.planning.steering.METHODS`.
     limits : path or mapping
         YAML file with limits of the arm, or its content, to which the motion is slowed down.
+    seek_fastest : bool
+        Whether the shortest safe time without swing is searched, otherwise the plan's time is kept
+        or extended.
 
     Raises
     ------
@@ -440,25 +470,13 @@ def steer_plan(
         raise BellowsError(f"method is '{method}'; expected one of {', '.join(steering.METHODS)}.")
     source = plan_with_cup(path, settings, urdf, topic)
     bounds = limits_in(limits, source)
-
-    def steered_at(scale: float) -> steering.Steered:
-        return steering.steer(source.model, timed(source.tool, scale), method)
-
-    def limit_at(scale: float) -> str:
-        tool, factor = steered_at(scale).tool, math.inf
-        if bounds.safety_factor > 0.0:
-            factor = PlanSimulation(
-                source.model, source.grip, tool, tail=steering.TAIL).safety(1.0)
-        parts = _used(source, bounds, tool, factor)
-        name, part = next((each for each in parts.items() if each[1] > 1.0), ('', 0.0))
-        if name == 'workspace':
-            raise BellowsError(
-                f'The motion leaves the workspace at any speed: it uses {part:.0%} of the half '
-                'width about its middle. Change the plan or the limits.')
-        return name
-
-    scale, limit = bounding.first_allowed(limit_at) if limits or source.joints else (1.0, '')
-    steered = steered_at(scale)
+    if seek_fastest:
+        _require_searchable(source)
+    search = _SteeredSearch(source, bounds, method, seek_fastest)
+    scale, limit = 1.0, ''
+    if seek_fastest or limits or source.joints:
+        scale, limit = bounding.first_allowed(search.limit_at, search.scales)
+    steered = search.steered_at(scale)
     motions = {'unchanged' if steered.method == 'none' else steered.method: _effect(
         replace(source, tool=steered.tool))}
     with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
@@ -467,6 +485,52 @@ def steer_plan(
     if steered.method == 'none':
         notes = (*notes, Finding('unshaped', Level.OK))
     return _report(source, limits and bounds, motions, notes, steered=steered)
+
+
+class _SteeredSearch(NamedTuple):
+    """The search for the time scale of a steered plan within limits."""
+
+    source: Source
+    bounds: Limits
+    method: str
+    seek_fastest: bool
+
+    @property
+    def scales(self) -> tuple[float, float, float]:
+        """Smallest and largest time scale, and ratio of neighbouring ones."""
+        start = bounding.fastest_scale(self.source.tool) if self.seek_fastest else 1.0
+        return start, bounding.MAX_STRETCH, bounding.STRETCH_STEP
+
+    def steered_at(self, scale: float) -> steering.Steered:
+        """Return the steered plan at a time scale."""
+        return steering.steer(self.source.model, timed(self.source.tool, scale), self.method)
+
+    def limit_at(self, scale: float) -> str:
+        """Return the limit that the steered plan exceeds at a time scale, '' for none."""
+        source, bounds = self.source, self.bounds
+        try:
+            steered = self.steered_at(scale)
+        except UnstableError:
+            if not self.seek_fastest:
+                raise
+            return 'swing'
+        if self.seek_fastest and steered.residual > SETTLED_ANGLE:
+            return 'swing'
+        run, factor = PlanSimulation(
+            source.model, source.grip, steered.tool, tail=steering.TAIL), math.inf
+        if bounds.safety_factor > 0.0:
+            factor = run.safety(1.0)
+        parts = _used(source, bounds, steered.tool, factor)
+        name, part = next((each for each in parts.items() if each[1] > 1.0), ('', 0.0))
+        if name == 'workspace':
+            raise BellowsError(
+                f'The motion leaves the workspace at any speed: it uses {part:.0%} of the half '
+                'width about its middle. Change the plan or the limits.')
+        if name or not self.seek_fastest:
+            return name
+        spread = bounding.spread_of(run, conversion.uncertain_of(source.values), source.model)
+        is_safe = bounding.is_safe(run, spread, float(source.values.safety.least))
+        return '' if is_safe else 'safety.least'
 
 
 def _report(
@@ -506,11 +570,8 @@ def _effect(source: Source) -> Effect:
 
 def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
     """Return the shortest safe time, its motion, and the limit of a joint that needs longer."""
-    is_at_rest = source.begins_at_rest and simulation.stands(np.asarray(source.tool.twist)[-1])
-    if source.grip is None or not is_at_rest:
-        raise BellowsError('The shortest safe time cannot be found. ' + (
-            text(Finding('no_factor')) if source.grip is None else
-            'The plan begins or ends in motion. Give a plan from rest to rest.'))
+    _require_searchable(source)
+    assert source.grip is not None
     required = float(source.values.safety.least)
     found = bounding.fastest(
         conversion.uncertain_of(source.values), source.model, source.grip, source.tool, required)
@@ -525,6 +586,17 @@ def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
     return found, tool, _slowed(float(tool.seconds[-1]) / source.duration, limit)
 
 
+def _require_searchable(source: Source) -> None:
+    """Raise for a plan whose shortest safe time is unknown."""
+    why = ''
+    if source.grip is None:
+        why = text(Finding('no_factor'))
+    elif not (source.begins_at_rest and simulation.stands(np.asarray(source.tool.twist)[-1])):
+        why = 'The plan begins or ends in motion. Give a plan from rest to rest.'
+    if why:
+        raise BellowsError(f'The shortest safe time cannot be found. {why}')
+
+
 def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
     """Return the limits in a YAML file, or in its content; '' for none."""
     bounds = bounding.read_limits(
@@ -533,6 +605,10 @@ def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
         raise BellowsError(
             f"The limit safety_factor cannot be compared. {text(Finding('no_factor'))} Or leave "
             'safety_factor out.')
+    if source.joints is None and bounds.joint_acceleration < bounding.NO_LIMIT:
+        raise BellowsError(
+            'The limit joint_acceleration cannot be checked: the plan has no joints; expected a '
+            "plan of the arm's joints, and its urdf. Give both, or leave joint_acceleration out.")
     return bounds
 
 
@@ -594,6 +670,10 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     """
     source = _read_plan(Path(path), values, urdf, topic)
     plans.require_frame(source.frame_id, values)
+    if urdf and source.joints is None and source.recorded_ns is None:
+        raise BellowsError(
+            f"The urdf '{urdf}' is given, but '{path}' has no plan of joints; expected a "
+            'JointTrajectory. Give one, or leave the urdf out.')
     stamps = source.tool.stamps_ns
     chosen, _ = recordings.interval_masks(
         [stamps, stamps if source.recorded_ns is None else source.recorded_ns], values)
@@ -628,12 +708,15 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
         read = plans.plans_in(file, topic)
         if not read:
             return _source_of_recording(file, values, urdf, topic)
-    name, first = read[0]
+    name, first = next((each for each in read if urdf and each[1].kind == plans.JOINTS), read[0])
     count = sum(each.kind == first.kind for _, each in read)  # joints beside the tool are the same
-    notes = [Finding('first_of_plans', Level.WARN, {
-        'count': count, 'name': name}, os.fspath(file))] * (count > 1)
+    notes = list[Finding]()
+    if count > 1:
+        notes.append(Finding(
+            'first_of_plans', Level.WARN, {'count': count, 'name': name}, os.fspath(file)))
     recording = '' if kind in YAML else file
-    return replace(_source_of_plan(first, values, urdf, recording), notes=tuple(notes))
+    return replace(_source_of_plan(first, values, urdf, recording),
+                   notes=(*first.findings, *notes))
 
 
 def _source_of_plan(
@@ -641,8 +724,10 @@ def _source_of_plan(
 ) -> Source:
     """Return a plan of points of the tool or of an arm's joints."""
     arm = plans.arm_of(urdf, values.tool_link, recording) if read.kind == plans.JOINTS else None
-    tool, joints = plans.motion_of(read, values, arm, read.stamp_ns or START_NS)
-    return Source(tool, arm.root if arm else read.frame_id, values, joints=joints)
+    start_ns = read.stamp_ns or START_NS
+    tool, joints = plans.motion_of(read, values, arm, start_ns)
+    return Source(
+        tool, arm.root if arm else read.frame_id, values, joints=joints, start_ns=start_ns)
 
 
 def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
@@ -672,14 +757,14 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
               'tool_twist': values.topics.tool_twist}
     contents = bags.read_contents(path, wanted)
     poses, twists = (contents.streams.get(role) for role in ('tool_pose', 'tool_twist'))
-    axes = values.tool_twist.frame
-    if not isinstance(poses, PoseStream):
-        if not values.tool_link:
+    axes, notes = values.tool_twist.frame, tuple[Finding, ...]()
+    if urdf or not isinstance(poses, PoseStream):
+        if not (urdf or values.tool_link):
             problem = contents.problems['tool_pose']
             raise type(problem)(
                 f'{problem} A plan is a message of type {", ".join(plans.PLAN_TYPES)}; or poses '
                 'of the tool are recorded, or joint states with tool_link.')
-        read = plans.recorded_joints(path, plans.arm_of(urdf, values.tool_link, path))
+        read, notes = plans.recorded_joints(path, plans.arm_of(urdf, values.tool_link, path))
         frame, stamps, axes = read.frame_id, read.stamp_ns + read.times_ns, 'tool'
         poses = PoseStream('the tool', frame, stamps, read.points[:, :3],
                            quaternion_to_rotation(read.points[:, 3:]))
@@ -688,7 +773,7 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
     motion, rates, axes = _with_rates(poses.trajectory(), twists, axes)
     tool = at_tip(_checked_motion(motion, rates, axes, f"Poses '{poses.name}'", bool(twists)),
                   conversion.tip_of(values))
-    return Source(tool, poses.frame_id, values, recorded_ns=poses.stamps_ns)
+    return Source(tool, poses.frame_id, values, notes=notes, recorded_ns=poses.stamps_ns)
 
 
 def _with_rates(
@@ -742,17 +827,19 @@ def write_prediction(
 
     """
     frame, axes = source.frame_id or 'world', source.values.tool_twist.frame
-    stamps, start = tool.stamps_ns, int(tool.stamps_ns[0])
+    stamps = tool.stamps_ns
+    start = int(stamps[0]) if source.start_ns is None else source.start_ns
     tip = trajectory.from_tip(tool, conversion.tip_of(source.values))
-    plan = plans.plan_of_motion(tip, 0, frame, 'tool', axes)
+    plan = plans.plan_of_motion(tip, 0, frame, 'tool', axes, start)
     package = plans.plan_of_motion(
-        simulation.ToolRows(stamps, states).trajectory(), start, frame,
-        PACKAGE_FRAME, axes)
+        simulation.ToolRows(stamps, states).trajectory(), start, frame, PACKAGE_FRAME, axes,
+        start)
     written = {'tool_arm/plan': plan, 'package/plan': package,
                'package/plan_path': package._replace(kind=plans.PATH)}
     if source.joints is not None:
         written['tool_arm/plan_joints'] = plans.plan_of_path(
-            0, frame, source.joints.arm.moving, source.joints.along(tool, source.tool))
+            0, frame, source.joints.arm.moving, source.joints.along(tool, source.tool),
+            int(stamps[0]) - start)
     bags.write_bag(path, [
         *(bags.Encoded(f'/{topic}', each.kind, stamps[:1], [plans.encode(each)])
           for topic, each in written.items()),

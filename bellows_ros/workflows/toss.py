@@ -85,10 +85,12 @@ class TossResult(plan.OfPlan):
 
     def scenes(self) -> dict[str, tuple[Trajectory, Trajectory]]:
         """Return tool and package by title, held, released and flying to its landing."""
-        stamps_ns = sample_stamps(RATE, self.toss.landing_time, int(self.source.tool.stamps_ns[0]))
-        tool, package = (simulation.ToolRows(stamps_ns, rows).trajectory() for rows in (
-            self.case.held.along(self.case.release, self.case.switched,
-                                 (stamps_ns - stamps_ns[0]) / NS_PER_S)))
+        begin = self.source.begin
+        stamps_ns = sample_stamps(
+            RATE, self.toss.landing_time - begin, int(self.source.tool.stamps_ns[0]))
+        bodies = self.case.held.along(
+            self.case.release, self.case.switched, begin + (stamps_ns - stamps_ns[0]) / NS_PER_S)
+        tool, package = (simulation.ToolRows(stamps_ns, rows).trajectory() for rows in bodies)
         return {self.source.path: (tool, package)}
 
     def groups(self) -> list[Share]:
@@ -217,7 +219,7 @@ def toss_plan(
     parameters : mapping
         Values by dotted name.
     switched : float or None
-        Time of the valve, s since the first point of the plan; None with a target.
+        Time of the valve, s from the plan's time 0; None with a target.
     target : (x, y), optional
         Target of B in the world, m, for which the time of the valve is searched.
     progress : callable
@@ -241,7 +243,7 @@ def toss_plan(
             'A target is x and y on the floor, but gravity.direction is not along -z. Give the '
             'plan in a world with z up.')
     progress('following the plan')
-    held = HeldMotion(source.model, source.grip, source.tool)
+    held = HeldMotion(source.model, source.grip, source.tool, begin=source.begin)
     aim = None
     if target is not None:
         aim = landing.aim(held, release, target)

@@ -1,6 +1,8 @@
 """Plans in every form they come in, what is said of them, and bad ones refused."""
 
 import json
+import math
+import warnings
 
 from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
 from bellows_ros.core.parameters.checks import resolve
@@ -8,14 +10,23 @@ from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.bags import as_messages, Encoded, write_bag
 from bellows_ros.files.parameter_files import read_parameters
-from bellows_ros.files.plans import DESCRIPTION, encode, JOINTS, MULTI_DOF, PATH, Plan, STATES
-from bellows_ros.workflows.plan import plan, plan_with_cup, read_plan
+from bellows_ros.files.plans import (
+    DESCRIPTION,
+    encode,
+    JOINTS,
+    MULTI_DOF,
+    PATH,
+    Plan,
+    plans_in,
+    STATES,
+)
+from bellows_ros.workflows.plan import plan, plan_with_cup, read_plan, write_prediction
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
 from .test_convert import write_tum
-from ..cell.cup import VALUES
+from ..cell.cup import CUP, VALUES
 from ..cell.motion import Move
 from ..conftest import ROOT
 from ..core.planning.test_arm import URDF
@@ -100,9 +111,14 @@ def upright(urdf):
     return urdf.replace('rpy="3.14159265 0 0"', f'rpy="{rpy[0]} {rpy[1]} {rpy[2]}"')
 
 
-def joint_recording(folder):
-    """Write a recording with a robot description and joint states, and none of the tool."""
+def joint_recording(folder, factor=1.0, offset=0.0):
+    """
+    Write a recording with a robot description and joint states, and none of the tool.
+
+    The velocities are multiplied by a factor, and have an offset.
+    """
     times, position, velocity = joints()
+    velocity = factor * velocity + offset
     orders = [0, 1, 2], [1, 0, 2]  # of two drivers
     states = [(header(T0 + at, ''), [('turn', 'slide', 'spin')[k] for k in order], q[order],
                v[order], []) for at, q, v, order in zip(
@@ -135,6 +151,89 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
         figures(other, values=values, urdf=str(tmp_path / 'arm.urdf'))
 
 
+@pytest.mark.parametrize(('factor', 'offset'), [(0.0, 0.0), (0.0, 0.3), (-1.0, 0.0)])
+def test_positions_decide_where_velocities_of_joint_states_contradict_them(
+        factor, offset, tmp_path):
+    found = plan(joint_recording(tmp_path / 'bag', factor, offset),
+                 VALUES.replaced({'tool_link': 'tool'}))
+    assert 'joint_velocities' in [each.code for each in found.findings]
+    speed = np.linalg.norm(found.source.tool.twist[:, :3], axis=1).max()
+    arm = read_arm(upright(URDF), 'tool')
+    _, position, velocity = joints()
+    expected = np.linalg.norm(arm.tool(position, velocity)[1][:, :3], axis=1).max()
+    assert_allclose(speed, expected, rtol=0.05)
+
+
+GANTRY = """<robot name="gantry"><link name="base"/><link name="a"/><link name="tool"/>
+<joint name="x" type="prismatic"><parent link="base"/><child link="a"/><axis xyz="1 0 0"/>
+<limit lower="-2" upper="2" velocity="3"/></joint>
+<joint name="z" type="prismatic"><parent link="a"/><child link="tool"/><axis xyz="0 0 1"/>
+<limit lower="-2" upper="2" velocity="3"/></joint></robot>"""
+
+
+def gantry_plan(folder, times, height, speed=None, urdf=GANTRY):
+    """Return the report on heights (N,) of a tool on a gantry at times (N,), s."""
+    points = [{
+        'positions': [0.0, float(z)],
+        'velocities': [] if speed is None else [0.0, float(speed[k])],
+        'accelerations': [], 'effort': [], 'time_from_start': dict(zip(
+            ('sec', 'nanosec'), divmod(round(1e9 * t), 10**9), strict=True))}
+        for k, (t, z) in enumerate(zip(times, height, strict=True))]
+    (folder / 'plan.yaml').write_text(json.dumps({
+        'trajectory': {'header': {'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': ''},
+                       'joint_names': ['x', 'z'], 'points': points},
+        'path_tolerance': [], 'goal_tolerance': [],
+        'goal_time_tolerance': {'sec': 0, 'nanosec': 0}}))  # the goal of a FollowJointTrajectory
+    (folder / 'arm.urdf').write_text(urdf)
+    return plan(folder / 'plan.yaml', VALUES.replaced({'tool_link': 'tool'}),
+                str(folder / 'arm.urdf'))
+
+
+def test_two_points_of_positions_alone_move_at_once_to_full_speed(tmp_path):
+    """Upwards by 0.6 m/s: sag and swing of mass, spring and damper after a step of the speed."""
+    report = gantry_plan(tmp_path, [0.0, 1.0], [0.0, 0.6])
+    m, k, d = VALUES.package.mass, CUP.stiffness[2, 2], CUP.damping[2, 2]
+    decay = 0.5 * d / m
+    omega = math.sqrt(k / m - decay**2)
+    first = math.atan2(omega, decay) / omega
+    swing = 0.6 / omega * math.exp(-decay * first) * math.sin(omega * first)
+    found = report.as_json()
+    assert_allclose(found['peak_deflection'], m * 9.81 / k + swing, rtol=1e-3)
+    codes = {each.code: each for each in report.findings}
+    assert codes['speed_steps'].numbers['linear'] == pytest.approx(0.6)
+    assert 'linearly' in codes['interpolated'].numbers['law'] and 'in_motion' not in codes
+
+
+def test_the_times_of_a_plan_are_kept(tmp_path):
+    """Its first point is at 0.5 s: all times are later, what is before is named, and written."""
+    t = np.linspace(0.0, 1.0, 101)
+    way = t, 0.6 * t**3 * (10 - 15 * t + 6 * t**2), 18.0 * t**2 * (1 - t)**2
+    early = gantry_plan(tmp_path, *way)
+    late = gantry_plan(tmp_path, t + 0.5, *way[1:])
+    was, found = early.as_json(), late.as_json()
+    assert_allclose(found['smallest_safety_time'], was['smallest_safety_time'] + 0.5, atol=1e-9)
+    assert_allclose(found['moves'][0]['begin'], was['moves'][0]['begin'] + 0.5, atol=1e-9)
+    assert found['smallest_safety_factor'] == was['smallest_safety_factor']
+    assert_allclose(late.result.curves[0], early.result.curves[0] + 0.5)
+    assert [each.numbers['begin'] for each in late.findings if each.code == 'late_start'] == [0.5]
+    assert 'late_start' not in [each.code for each in early.findings]
+    write_prediction(tmp_path / 'out', late.source, late.source.tool, late.prediction.states)
+    for name, written in plans_in(tmp_path / 'out', ''):
+        assert written.times_ns[[0, -1]].tolist() == [500_000_000, 1_500_000_000], name
+
+
+def test_a_pressed_cup_has_no_smallest_factor_and_no_warning(tmp_path):
+    """Upside down nothing peels: the factor is infinite, without a division by zero."""
+    upside = GANTRY.replace('<axis xyz="0 0 1"/>', '<origin rpy="3.14159265 0 0" xyz="0 0 0"/>'
+                            '<axis xyz="0 0 -1"/>')
+    t = np.linspace(0.0, 1.0, 101)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error', RuntimeWarning)
+        report = gantry_plan(tmp_path, t, 0.1 * t**3 * (10 - 15 * t + 6 * t**2),
+                             3.0 * t**2 * (1 - t)**2, urdf=upside)
+        assert report.result.moves[0].smallest_safety_factor > 1.0
+
+
 @pytest.mark.parametrize('kind', [
     'moveit_msgs/msg/RobotTrajectory', 'moveit_msgs/msg/DisplayTrajectory'])
 def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
@@ -154,7 +253,7 @@ def test_plans_of_moveit_are_plans(kind, truth, tmp_path):
         fields = trajectory if kind.endswith('RobotTrajectory') else ('arm', [trajectory])
         bag = write(tmp_path / f'bag{number}', {
             ('/plan', kind): [(T0, serialized(kind, fields))]})
-        read = figures(bag, values=values, urdf=str(urdf))
+        read = figures(bag, values=values, urdf='' if number else str(urdf))
         for figure in FIGURES:
             assert_allclose(read[figure], found[figure], rtol=1e-6)
 
@@ -197,7 +296,7 @@ def test_fastest_and_curves(bag, tmp_path):
     found = report.as_json()
     assert 0.1 < found['fastest_scale'] < 5.0 and found['fastest_scale_std'] > 0.0
     seconds, _, values, std = report.motions['as planned'].curves
-    assert values.shape == std.shape == (len(seconds), 12) and seconds[-1] > 0.6
+    assert values.shape == std.shape == (len(seconds), 15) and seconds[-1] > 0.6
     assert_allclose(report.motions['as planned'].summary()['smallest_safety_factor'],
                     values[:, 4:6].min(), rtol=1e-9)
     with pytest.raises(BellowsError, match=r'cup\.lip_radius.*vacuum\.holding'):
@@ -261,13 +360,36 @@ def untimed(form):
     return content
 
 
+def test_a_limit_that_cannot_be_checked_is_refused(bag, tmp_path):
+    """Of joints, for a plan of the tool."""
+    with pytest.raises(BellowsError, match='joint_acceleration cannot be checked'):
+        figures(bag, limits={'joint_acceleration': 2.0})
+    (tmp_path / 'arm.urdf').write_text(URDF)
+    with pytest.raises(BellowsError, match=r'arm\.urdf.* no plan of joints'):
+        figures(bag, urdf=str(tmp_path / 'arm.urdf'))
+
+
+def broken(part, value):
+    """Return a plan as YAML in lines, the second of whose points has another part, or lacks it."""
+    content = plan_messages()['joints']
+    if value is None:
+        del content['points'][1][part]
+    else:
+        content['points'][1][part] = value
+    return content
+
+
 @pytest.mark.parametrize(('content', 'named'), [
-    ({'a': 1}, r"no\.yaml' holds no .*'points'"), ([1], r"no\.yaml' holds no .*'points'"),
-    ({**plan_messages()['multi'], 'joint_names': [5]}, r"no\.yaml' holds no .*5 as name"),
+    (broken('time_from_start', None), r"no\.yaml, line 29: .* 'time_from_start' is missing"),
+    (broken('positions', [0.1, '...']), r'no\.yaml, line \d+: .*cut here.*--full-length'),
+    (broken('positions', '...'), r'no\.yaml, line \d+: .*cut here.*--full-length'),
+    ({'a': 1}, r"no\.yaml: there is no plan.*'points'"),
+    ([1], r"no\.yaml: there is no plan.*'points'"),
+    ({**plan_messages()['multi'], 'joint_names': [5]}, r'no\.yaml: there is no plan.*5 as name'),
     *((untimed(form), 'is not timed.*time parameterization')
       for form in ('multi', 'joints', 'path'))])
 def test_what_is_no_plan_is_refused(tmp_path, content, named):
-    (tmp_path / 'no.yaml').write_text(json.dumps(content))
+    (tmp_path / 'no.yaml').write_text(json.dumps(content, indent=1))
     (tmp_path / 'arm.urdf').write_text(URDF)
     with pytest.raises(BellowsError, match=named):
         figures(tmp_path / 'no.yaml', urdf=tmp_path / 'arm.urdf', values={'tool_link': 'tool'})

@@ -8,6 +8,7 @@ from bellows_ros.core.geometry.lie import log_se3, quaternion_to_rotation, trans
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.planning.arm import read_arm
 from bellows_ros.core.planning.limits import demands, read_limits
+from bellows_ros.core.planning.plan_prediction import SETTLED_ANGLE
 from bellows_ros.core.planning.points import quintic, timed
 from bellows_ros.core.planning.steering import steer
 from bellows_ros.files import safe_yaml
@@ -31,6 +32,21 @@ def test_the_sample_plans_are_steered_within_the_sample_limits(root, plan):
     assert slowed['limit'] == 'speed' and max(found.used.values()) <= 1.0 + 1e-6
     quicker = steer(found.source.model, timed(found.source.tool, 0.99 * slowed['scale']), 'zvd')
     assert demands(quicker.tool)['speed'] > limits.rates['speed']
+
+
+def test_the_fastest_steered_plan_is_safe_and_rests(root):
+    """The factor less two deviations is as required; a faster motion would swing."""
+    values = read_parameters(root / 'bags/tossing.yaml')
+    report = steer_plan(root / 'bags/transport.yaml', values, 'zv', seek_fastest=True)
+    found, least = report.as_json(), report.source.values.safety.least
+    factor, std = found['smallest_safety_factor'], found['smallest_safety_factor_std']
+    assert found['requested'] == 'zv' and found['swing_left'] < SETTLED_ANGLE
+    assert least <= factor - 2.0 * std
+    ((_, _, slowed, _),) = report.notes
+    quicker = steer(report.source.model, timed(report.source.tool, 0.999 * slowed['scale']), 'zv')
+    assert slowed['limit'] == 'swing' and quicker.residual > SETTLED_ANGLE
+    assert found['duration'] < steer_plan(
+        root / 'bags/transport.yaml', values, 'zv').as_json()['duration']
 
 
 def write_request(start, names, path, by=0.0):
@@ -77,6 +93,8 @@ def answer(root, folder, command, *more):
     assert (joints.kind, tool.kind) == (JOINTS, MULTI_DOF)
     values = resolve(read_parameters(root / 'bags/tossing.yaml'))
     assert not read_plan(folder / 'out', values).notes  # one plan beside its answers
+    values = values.replaced({'tool_link': 'tool'})
+    assert read_plan(folder / 'out', values, str(folder / 'arm.urdf')).joints is not None
     return joints, tool
 
 

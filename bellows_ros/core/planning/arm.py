@@ -232,7 +232,9 @@ def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Eleme
     drive, limits = '', element
     if element.find('mimic') is not None and kind != 'fixed':
         drive = _attribute(element, 'mimic', 'joint')
-        if drive not in by_name or by_name[drive].find('mimic') is not None:
+        if drive not in by_name:
+            raise _error(name, f"mimics '{shown(drive)}', which is missing", 'a joint of the URDF')
+        if by_name[drive].find('mimic') is not None:
             raise _error(name, f"mimics '{shown(drive)}'", 'a joint that mimics no other')
         limits = by_name[drive]
 

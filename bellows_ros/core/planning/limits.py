@@ -1,6 +1,6 @@
 """Speed, acceleration and jerk; shortest times of motions within limits and with a safe grip."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from bellows_ros.core.planning.plan_prediction import PlanSimulation
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import UndeterminedError
 import numpy as np
 
 RATES = {
@@ -130,7 +130,7 @@ def first_allowed(
 
     Raises
     ------
-    BellowsError
+    UndeterminedError
         If no scale is allowed.
 
     """
@@ -138,7 +138,7 @@ def first_allowed(
     below, limit = scale, ''
     while found := limit_at(scale):
         if scale >= end:
-            raise BellowsError(
+            raise UndeterminedError(
                 f'The motion exceeds the limit {found} even at {end:g} times its duration. Check '
                 'the limits.')
         below, limit, scale = scale, found, min(scale * step, end)
@@ -183,24 +183,43 @@ def fastest(
     """
     slowest = float(np.abs(np.linalg.eigvals(nominal_system_matrix(model))).min())
     run = PlanSimulation(model, grip, tool, tail=min(2.0, 2.0 * math.pi / slowest))  # a period
-    spread = [run.with_model(each) for _, *both in perturbed(uncertain, model) for each in both]
-
-    def sigma(scale: float) -> float:
-        factors = [each.safety(scale) for each in spread]
-        return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (2.0 * PERTURBATION)
+    spread = spread_of(run, uncertain, model)
 
     def limit_at(scale: float) -> str:
-        factor = run.safety(scale, required)
-        is_low = factor < required or factor - 2.0 * sigma(scale) < required
-        return 'safety_factor' if is_low else ''
+        return '' if is_safe(run, spread, required, scale) else 'safety_factor'
 
-    speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
     try:
-        scale, _ = first_allowed(
-            limit_at, (max(SCAN_START, speed / MAX_TOOL_SPEED), SCAN_END, SCAN_STEP))
-    except BellowsError:
+        scale, _ = first_allowed(limit_at, (fastest_scale(tool), SCAN_END, SCAN_STEP))
+    except UndeterminedError:
         return None
     factor, slower, faster = (run.safety(scale * ratio) for ratio in (1.0, 1.01, 0.99))
     slope = (slower - faster) / (0.02 * scale)
-    std = sigma(scale)
+    std = factor_std(spread, scale)
     return Fastest(scale, factor, std, abs(std / slope) if slope else 0.0)
+
+
+def fastest_scale(tool: Trajectory) -> float:
+    """Return the smallest time scale of a scan, at which the tool is as fast as an arm can be."""
+    speed = float(np.linalg.norm(np.asarray(tool.twist)[:, :3], axis=1).max())
+    return max(SCAN_START, speed / MAX_TOOL_SPEED)
+
+
+def spread_of(
+    run: PlanSimulation, uncertain: Uncertain, model: ModelTuple
+) -> list[PlanSimulation]:
+    """Return a simulation with each uncertain parameter above and below its value, in pairs."""
+    return [run.with_model(each) for _, *both in perturbed(uncertain, model) for each in both]
+
+
+def factor_std(spread: Sequence[PlanSimulation], scale: float) -> float:
+    """Return the standard deviation of the safety factor at a time scale; see `spread_of`."""
+    factors = [each.safety(scale) for each in spread]
+    return math.hypot(*np.subtract(factors[::2], factors[1::2])) / (2.0 * PERTURBATION)
+
+
+def is_safe(
+    run: PlanSimulation, spread: Sequence[PlanSimulation], required: float, scale: float = 1.0
+) -> bool:
+    """Return whether the safety factor less two standard deviations is as high as required."""
+    factor = run.safety(scale, required)
+    return factor >= required and factor - 2.0 * factor_std(spread, scale) >= required

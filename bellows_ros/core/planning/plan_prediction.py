@@ -235,14 +235,15 @@ def update_peak(extremes: Extremes, i: int, t: float, value: float) -> bool:
     """
     Store the largest value of a quantity, and return whether it increased.
 
-    The value is the vertex of the parabola through three samples.
+    The value is the vertex of the parabola through three samples, except where they are unevenly
+    spaced, at an instantaneous change of the tool's speed.
     """
     peaks, past, _ = extremes
     before = peaks[i, 0]
     if value > before:
         peaks[i, 0], peaks[i, 1] = value, t
     t0, u0, t1, u1 = past[i, 0], past[i, 1], past[i, 2], past[i, 3]
-    if u1 > u0 and u1 > value and t0 < t1 and t1 < t:
+    if u1 > u0 and u1 > value and min(t1 - t0, t - t1) > 0.1 * (t - t0):
         slope0, slope1 = (u1 - u0) / (t1 - t0), (value - u1) / (t - t1)
         curve = (slope1 - slope0) / (t - t0)  # half the second derivative
         slope = slope0 + curve * (t1 - t0)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
+from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.model.simulation import tool_rows, ToolRows
@@ -34,6 +35,14 @@ MAX_GAP_NS = 10_000_000
 
 JUMP_TOLERANCE = (1e-3, 1e-2)
 """Largest step between points that is plausible at any speed, m and rad."""
+
+INSTANT_NS = 1000
+"""Time in which a speed changes at once, ns."""
+MIN_SPACING = 1e-4
+"""Time between points below which the speed changes at once, s."""
+MAX_SPEED_STEP = (0.02, 0.1)
+"""Largest instantaneous change of speed without a warning, m/s and rad/s: a force of 1 N by the
+damping of a usual cup."""
 
 MAX_MISFIT = 0.5
 """Largest RMS deviation of the integrated rates from the steps, relative to the steps."""
@@ -83,8 +92,7 @@ def plan_of(
     v, w = (lie.apply(in_tool, rate)
             for rate in np.hsplit(np.zeros((len(poses), 6)) if twist is None else twist, 2))
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    step = np.diff(poses[:, :3], axis=0)
-    rotation = lie.log_quaternion(lie.quaternion_product(lie.quaternion_conjugate(q[:-1]), q[1:]))
+    step, rotation = _steps(poses[:, :3], R)
     _require_reachable(np.diff(t), step, rotation, v, w, name)
     if twist is None:
         continuous = _continuous_quaternions(R)
@@ -110,8 +118,9 @@ def plan_of_joints(
     """
     Check the points of a plan of an arm's joints; return it as a plan of the tool, and its joints.
 
-    Joints move as drivers of arms interpolate: along quintic polynomials with given accelerations,
-    cubic ones with given velocities, and a cubic spline from rest to rest otherwise.
+    Joints move as ros2_control documents it: linearly between points that have positions alone,
+    along cubic polynomials with given velocities, and quintic ones with given velocities and
+    accelerations. Along straight lines the joints begin and end at rest.
 
     Parameters
     ----------
@@ -135,18 +144,65 @@ def plan_of_joints(
     rate, bend = (None if part is None else part[:, columns] for part in (velocity, acceleration))
     _require_points(stamps_ns, (q, rate, bend), 'The plan')
     t = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    if rate is not None:
+    fine = _without_gaps(stamps_ns)
+    if rate is None:
+        fine = _with_instants(fine, stamps_ns)
+    else:
         require_consistent(
             np.diff(t), np.diff(q, axis=0), rate, 'The plan: the velocities of its joints')
-    curve: Any = scipy.interpolate.CubicSpline(t, q, bc_type='clamped') if rate is None else (
-        quintic(t, q, rate, bend) if bend is not None else
-        scipy.interpolate.CubicHermiteSpline(t, q, rate))
-    fine = _without_gaps(stamps_ns)
+    curve = interpolated(t, q, rate, bend)
     at = (fine - stamps_ns[0]) / NS_PER_S
-    T, twist = arm.tool(curve(at), curve(at, 1))
-    poses = np.hstack([T[:, :3, 3], lie.rotation_to_quaternion(T[:, :3, :3])])
-    tool = plan_of(fine, poses, twist, twist_frame='tool').trajectory()
+    speed = curve(at, 1)
+    if rate is None:
+        speed[[0, -1]] = 0.0
+    T, twist = arm.tool(curve(at), speed)
+    tool = Trajectory(fine, T[:, :3, 3], T[:, :3, :3], twist)
+    step, rotation = _steps(tool.position, tool.rotation)
+    _require_reachable(np.diff(at), step, rotation, twist[:, :3], twist[:, 3:], 'The plan')
     return tool, Joints(arm, stamps_ns, q)
+
+
+def interpolated(t: Array, value: Array, rate: Array | None, bend: Array | None) -> Any:
+    """
+    Return piecewise polynomials in time by the given fields, as ros2_control documents them.
+
+    Parameters
+    ----------
+    t : array (N,)
+        Times of the points, s.
+    value, rate, bend : array (N, M) or None
+        Positions of the joints, and their derivatives; accelerations need velocities.
+
+    """
+    if rate is None:
+        slope = np.diff(value, axis=0) / np.diff(t)[:, None]
+        return scipy.interpolate.PPoly(np.array([slope, value[:-1]]), t)
+    if bend is None:
+        return scipy.interpolate.CubicHermiteSpline(t, value, rate)
+    return quintic(t, value, rate, bend)
+
+
+def _with_instants(fine_ns: Stamps, stamps_ns: Stamps) -> Stamps:
+    """Return stamps with those between which the speed changes at a plan's points (N,)."""
+    instant = np.minimum(INSTANT_NS, np.diff(stamps_ns) // 2)
+    after_first, before = stamps_ns[0] + instant[:1], stamps_ns[1:] - instant
+    return np.unique(np.concatenate([fine_ns, after_first, before]))
+
+
+def speed_step_finding(tool: Trajectory | ToolRows) -> Finding | None:
+    """Return the finding on instantaneous changes of a tool's speed, None for small ones."""
+    change = np.diff(tool_rows(tool)[:, 7:], axis=0)[np.diff(tool.seconds) < MIN_SPACING]
+    sizes = np.linalg.norm(change.reshape(-1, 2, 3), axis=2).max(axis=0, initial=0.0)
+    if (sizes <= MAX_SPEED_STEP).all():
+        return None
+    linear, angular = sizes.tolist()
+    return Finding('speed_steps', Level.WARN, {'linear': linear, 'angular': angular})
+
+
+def _steps(position: Array, rotation: Array) -> tuple[Array, Array]:
+    """Return the shifts (N - 1, 3), m, and rotation vectors, rad, between poses."""
+    R_earlier_later = np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]
+    return np.diff(position, axis=0), lie.log_so3(R_earlier_later)
 
 
 def _without_gaps(stamps_ns: Stamps) -> Stamps:
@@ -211,7 +267,8 @@ def require_count(count: int, name: str) -> None:
     if not 2 <= count <= MAX_POINTS:
         raise BellowsError(
             f'{name} has {count} point{"" if count == 1 else "s"}; expected 2 to {MAX_POINTS}. '
-            + ('Give where the motion ends, too.' if count < 2 else 'Thin it out, or split it.'))
+            + ('A single point is the end of the motion: give its start, too, at '
+               'time_from_start 0.' if count < 2 else 'Thin it out, or split it.'))
 
 
 def _refuse(bad: Any, name: str, what: str, expected: str, remedy: str) -> None:
@@ -259,8 +316,19 @@ def _require_reachable(
 
 
 def require_consistent(durations: Array, steps: Array, rates: Array, what: str) -> None:
+    """Raise for rates (N, K) that contradict the steps (N - 1, K) between points."""
+    misfit = contradiction(durations, steps, rates)
+    if misfit is not None:
+        size = float(np.sqrt(np.mean(steps**2)))
+        raise BellowsError(
+            f'{what} contradict the points: integrated they deviate by {misfit:.3g} from steps of '
+            f'{size:.3g} (RMS, SI units); expected the same motion. Check their signs, units, '
+            'times and axes (tool_twist.frame: world or tool), or leave them out.')
+
+
+def contradiction(durations: Array, steps: Array, rates: Array) -> float | None:
     """
-    Raise for rates (N, K) that contradict the steps (N - 1, K) between points.
+    Return the deviation of the integrated rates (N, K) from the steps (N - 1, K), None if small.
 
     The integral of the rates by trapezoids over the durations (s) must be near the steps; of few
     points it must not have the opposite direction.
@@ -272,11 +340,7 @@ def require_consistent(durations: Array, steps: Array, rates: Array, what: str) 
     misfit = math.sqrt(max(float(np.mean(errors**2)) - noise, 0.0))
     allowed = MAX_MISFIT * size + JUMP_TOLERANCE[0] * float(np.median(durations))
     judged = misfit > allowed if len(rates) >= MIN_JUDGED else np.sum(moves * steps) < 0.0
-    if judged:
-        raise BellowsError(
-            f'{what} contradict the points: integrated they deviate by {misfit:.3g} from steps of '
-            f'{size:.3g} (RMS, SI units); expected the same motion. Check their signs, units, '
-            'times and axes (tool_twist.frame: world or tool), or leave them out.')
+    return misfit if judged else None
 
 
 MIN_GAIN = 0.01
@@ -424,8 +488,9 @@ class Joints(NamedTuple):
 
         """
         step = min(float(np.median(np.diff(self.stamps_ns))) / NS_PER_S, 0.01)
-        every = max(1, round(step / float(np.median(np.diff(tool.seconds)))))
-        rows = np.arange(0, len(tool), every)
+        rows = np.flatnonzero(np.append(True, np.diff(tool.seconds) > MIN_SPACING))
+        every = max(1, round(step / float(np.median(np.diff(tool.seconds[rows])))))
+        rows = rows[::every]
         rows[-1] = len(tool) - 1  # at rest, where the plan ends at rest
         points = tool.select(rows)
         part = points.seconds / points.seconds[-1]

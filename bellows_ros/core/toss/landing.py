@@ -45,7 +45,7 @@ class TossProblem(NamedTuple):
     held: HeldMotion
     release: Release
     switched: float
-    """Time of the valve, s since the first point of the plan."""
+    """Time of the valve, s of the plan."""
     uncertain: cup_package.Uncertain
     factor: Array
     """L (6, 6) with the covariance L L^T of the law of release."""
@@ -103,7 +103,7 @@ def scatter(case: TossProblem, nominal: Toss, count: int = DRAWS, seed: int = 0)
         """Return the deviation (6,) of a toss, NaN without a landing."""
         with suppress(NoLandingError, UnstableError):
             drawn = held if model is held.model else HeldMotion(
-                model, held.grip, held.tool, until=nominal.release_time + MARGIN)
+                model, held.grip, held.tool, nominal.release_time + MARGIN, held.begin)
             landed = toss(drawn, release_with(case.release, case.factor @ of_law), case.switched)
             return np.concatenate(toss_release.landing_error(
                 landed.landing, nominal.landing, held.model[2]))
@@ -184,9 +184,9 @@ def aim(held: HeldMotion, release: Release, target: tuple[float, float]) -> Aim:
         away = math.dist(landed[:2], target)
         return away if away < NO_LANDING else NO_LANDING  # of NaN, too
 
-    lost_time = held.lost_before(held.duration)
-    last = held.duration if lost_time is None else lost_time
-    times = np.linspace(0.0, last, max(2, math.ceil(last / SCAN) + 1))
+    lost_time = held.lost_before(held.end)
+    last = held.end if lost_time is None else lost_time
+    times = np.linspace(held.begin, last, max(2, math.ceil((last - held.begin) / SCAN) + 1))
     distances = [distance(t) for t in times]
     minima = [k for k in range(len(times)) if distances[k] <= min(distances[max(k - 1, 0):k + 2])]
     tried = []

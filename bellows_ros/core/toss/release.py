@@ -264,7 +264,7 @@ def landing_error(landed: State, nominal: State, gravity: Vector) -> tuple[Vecto
 
 
 class Toss(NamedTuple):
-    """A toss; times are in s since the first point of the plan, states are of B in the world."""
+    """A toss; times are in s of the plan, states are of B in the world."""
 
     release_time: float
     release: State
@@ -290,12 +290,14 @@ class HeldMotion:
     tool : Trajectory or ToolRows
         The plan: poses and body twists of E; without a final twist E rests after the last pose.
     until : float
-        End of the search for a release, s since the first point.
+        End of the search for a release, s.
+    begin : float
+        Time of the first point, s, to which all times refer.
 
     Attributes
     ----------
-    duration : float
-        Duration of the plan, s.
+    end : float
+        Time of the last point, s.
     times, tools, states : ndarray (M,), (M, 13), (M, 13 or more)
         Times of the plan's points (s), and states of E and B with its internal strains.
 
@@ -308,18 +310,18 @@ class HeldMotion:
 
     def __init__(
         self, model: ModelTuple, grip: Grip | None, tool: Trajectory | ToolRows,
-        until: float = math.inf,
+        until: float = math.inf, begin: float = 0.0,
     ) -> None:
-        self.model, self.grip, self.tool = model, grip or NO_GRIP, tool
+        self.model, self.grip, self.tool, self.begin = model, grip or NO_GRIP, tool, begin
         rows, stamps_ns = simulation.tool_rows(tool), tool.stamps_ns
-        self.duration = float(tool.seconds[-1])
+        self.end = begin + float(tool.seconds[-1])
         self.ends_at_rest = simulation.stands(rows[-1, 7:])
         if self.ends_at_rest:
             still = np.concatenate([rows[-1, :7], np.zeros(6)])
             rows = np.vstack([rows[:-1], still, still])
             stamps_ns = np.append(
                 stamps_ns, stamps_ns[-1] + round(MAX_RELEASE_WAIT * NS_PER_S))
-        times = (stamps_ns - stamps_ns[0]) / NS_PER_S
+        times = begin + (stamps_ns - stamps_ns[0]) / NS_PER_S
         count = min(max(2, int(np.searchsorted(times, until)) + 1), len(times))
         self._plan = ToolRows(stamps_ns[:count], rows[:count])
         run = PlanSimulation(model, grip, self._plan, tail=0.0)
@@ -341,11 +343,12 @@ class HeldMotion:
 
     def along(self, release: Release, switched: float, seconds: Array) -> tuple[Array, Array]:
         """
-        Return tool and package (N, 13) at increasing times (s) from 0 on, held, released, flying.
+        Return tool and package (N, 13) at increasing times (s), held, released, flying.
 
         After the plan the tool keeps its last pose.
         """
-        curve, at = curve_of(self._plan.trajectory()), np.clip(seconds, 0.0, self.times[-1])
+        curve = curve_of(self._plan.trajectory())
+        at = np.clip(seconds, self.begin, self.times[-1]) - self.begin
         values, out = curve(at), np.empty((len(seconds), 13))
         rows = np.hstack([values, body_twists(values[:, 3:], curve(at, 1))[1]])
         rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=1)[:, None]
@@ -370,7 +373,7 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
     release : Release
         Valve, package and floor.
     switched : float
-        Time of the valve, s since the first point of the plan.
+        Time of the valve, s.
 
     Raises
     ------
@@ -379,10 +382,10 @@ def toss(held: HeldMotion, release: Release, switched: float) -> Toss:
         released below the floor or never lands.
 
     """
-    if not 0.0 <= switched <= held.duration:
+    if not held.begin <= switched <= held.end:
         raise NoLandingError(
-            f'The valve is switched at {switched:g} s, outside the plan; expected 0 to '
-            f'{held.duration:g} s. Release earlier, or make the plan longer.')
+            f'The valve is switched at {switched:g} s, outside the plan; expected {held.begin:g} '
+            f'to {held.end:g} s. Release earlier, or make the plan longer.')
     released, body, landing, landed = held.find_release(release, switched)
     if released < 0.0:
         raise NoLandingError(

@@ -83,15 +83,30 @@ def test_a_plan_of_joints_goes_through_its_points():
     fine = np.outer(fine_t**3 * (10 - 15 * fine_t + 6 * fine_t**2), [0.8, 0.2, -0.5])
     truth = ARM.tool(fine)[0][:, :3, 3]
     errors = []
-    for given in ((q, rate, bend), (q, rate), (q,)):
+    for given in ((q, rate, bend), (q, rate)):
         plan, _ = plan_of_joints(ARM, ARM.moving, stamps, *given)
         assert len(plan) == 101
         assert_allclose(plan.position[::10], truth[::10], atol=1e-12)
         errors.append(np.abs(plan.position - truth).max())
-    assert errors[0] < 1e-12 < errors[1] < 1e-4 and errors[2] < 1e-3
+    assert errors[0] < 1e-12 < errors[1] < 1e-4
     with pytest.raises(BellowsError, match=r'\b3\b'):
         broken = np.where(np.arange(11)[:, None] == 3, np.nan, q)
         plan_of_joints(ARM, ARM.moving, stamps, broken)
+
+
+def test_joints_with_positions_alone_move_linearly_from_and_to_rest():
+    """As ros2_control documents it: speeds change at the points, at the first and last from 0."""
+    times, q = np.array([0, 300, 1000]) * 1_000_000, np.random.default_rng(4).normal(size=(3, 3))
+    for given in ((q,), (q, None, np.ones((3, 3)))):  # accelerations without velocities
+        plan, _ = plan_of_joints(ARM, ARM.moving, times, *given)
+        assert plan.stamps_ns[0] == 0 and plan.stamps_ns[-1] == times[-1]
+        position = np.column_stack([np.interp(plan.stamps_ns, times, each) for each in q.T])
+        piece = np.minimum(np.searchsorted(times, plan.stamps_ns, 'right') - 1, 1)
+        rate = (np.diff(q, axis=0) / np.diff(times / 1e9)[:, None])[piece]
+        rate[[0, -1]] = 0.0
+        T, twist = ARM.tool(position, rate)
+        assert_allclose(plan.position, T[:, :3, 3], atol=1e-12)
+        assert_allclose(plan.twist, twist, atol=1e-9)
 
 
 @pytest.mark.parametrize(('urdf', 'link', 'named'), [
@@ -102,7 +117,8 @@ def test_a_plan_of_joints_goes_through_its_points():
     (URDF, 'world', "tool_link 'world'"),
     (URDF.replace('<parent link="b"/>', ''), 'tool', 'parent.* way to the tool'),
     (URDF.replace('<parent link="world"/>', '<parent link="tool"/>'), 'tool', 'circle of joints'),
-    (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="no"/>'), 'tool', "'slide'.* mimics 'no'"),
+    (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="no"/>'), 'tool',
+     "'slide'.* mimics 'no', which is missing"),
 ])
 def test_what_cannot_be_followed_is_refused(urdf, link, named):
     with pytest.raises(BellowsError, match=named):
@@ -191,7 +207,7 @@ def changed(index, where, value):
 
 
 @pytest.mark.parametrize(('parts', 'figures'), [
-    ([part[:1] for part in POINTS], r'\b1 point\b.* 2 to 100000'),
+    ([part[:1] for part in POINTS], r'\b1 point\b.* 2 to 100000.* its start'),
     ([np.repeat(part[:1], MAX_POINTS + 1, axis=0) for part in POINTS],
      '100001 points.* 2 to 100000'),
     (changed(1, (7, 0), np.nan), r'point 7\b.* 1 of 201\b'),

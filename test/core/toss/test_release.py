@@ -83,6 +83,21 @@ def test_a_cup_that_opens_lets_go_and_lands_where_an_independent_integrator_says
     np.testing.assert_allclose(late[before], held.states[before], atol=1e-10)
 
 
+def test_a_plan_that_begins_later_is_tossed_in_its_own_time(held):
+    """With a first point at 0.5 s all times are 0.5 s later, and the landing is the same."""
+    late = HeldMotion(MODEL, tosses.GRIP, tosses.plan(), begin=0.5)
+    expected, found = toss(held, RELEASE, 0.4), toss(late, RELEASE, 0.9)
+    assert found.release_time == pytest.approx(expected.release_time + 0.5, abs=1e-9)
+    assert found.landing_time == pytest.approx(expected.landing_time + 0.5, abs=1e-9)
+    np.testing.assert_allclose(found.landing[0], expected.landing[0], atol=1e-9)
+    seconds = 0.5 + np.arange(0.0, 1.0, 0.1)
+    for one, other in zip(held.along(RELEASE, 0.4, seconds - 0.5),
+                          late.along(RELEASE, 0.9, seconds), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+    with pytest.raises(NoLandingError, match='0.4 s.* 0.5 to 1.5 s'):
+        toss(late, RELEASE, 0.4)
+
+
 def test_without_a_grip_it_is_let_go_as_the_suction_ends():
     found = toss(HeldMotion(MODEL, None, tosses.plan()), RELEASE, 0.4)
     assert abs(found.release_time - 0.4 - RELEASE.law[0] - RELEASE.law[1]) < 1e-9
