@@ -53,7 +53,7 @@ def read_cup(path: File) -> Cup:
     Parameters
     ----------
     path : path
-        YAML file with cup.stiffness, cup.damping, cup.length and, if it relaxes, cup.relaxation.
+        YAML file with cup.stiffness, cup.damping and cup.length; other terms have defaults.
 
     Raises
     ------
@@ -135,12 +135,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
 
     """
     require_types(cup=(cup, Cup), package=(package, Package, type(None)))
-    values: dict[str, object] = {
-        'cup.stiffness': cup.stiffness.ravel().tolist(),
-        'cup.damping': cup.damping.ravel().tolist(),
-        'cup.length': float(cup.length),
-        'cup.relaxation': cup.relaxation,
-        'cup.stretch': cup.stretch}
+    values: dict[str, object] = cup.parameters()
     if package is not None:
         values.update({
             'package.mass': float(package.mass),

@@ -175,7 +175,7 @@ def error(fit: Fit, loss_factor: float, path: Path, seconds: float) -> float:
     """Return the RMS error of the bending predicted by a fit, relative to the RMS bending."""
     tool, free = driven(path, seconds), {name: row[0] for name, row in fit.nuisances.items()}
     cup = Cup(fit.stiffness, fit.damping, CUP.length + float(free.get('length', [0.0])[0]),
-              fit.relaxation)
+              fit.law['relaxation'])
     true, found = (log_so3(np.swapaxes(tool.rotation, 1, 2) @ body.rotation) for body in (
         rubber_moves(loss_factor, tool),
         simulate(cup, payload_of(PLATE, free), tool, gravity=GRAVITY)))
@@ -221,12 +221,12 @@ def main() -> None:
         for name, (before, after) in errors.items():
             print(f'  {name:30} {before:8.1%} {after:8.1%}')
         true = abs(stiffening(strengths(loss_factor), TIMES, 2.0))
-        found = abs(stiffening(fits['auto'].relaxation, RELAXATION_TIMES, 2.0))
+        found = abs(stiffening(fits['auto'].law['relaxation'], RELAXATION_TIMES, 2.0))
         print(f'  stiffness at 2 Hz over static: {found:.3f}, true {true:.3f}; static K rx: '
               f'{fits["auto"].stiffness[3, 3]:.3f}, without relaxation '
               f'{fits["off"].stiffness[3, 3]:.3f}, true {CUP.stiffness[3, 3]:.3f}')
     relaxing = sum(any(identified(recorded(0.0, seed, multisine(seed, 8.0, 4.0), 14.0), 'auto')
-                       .relaxation) for seed in range(RUNS))
+                       .law['relaxation']) for seed in range(RUNS))
     print(f'found in {relaxing} of {RUNS} cups that do not relax')
 
 

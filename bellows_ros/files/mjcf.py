@@ -1,7 +1,7 @@
 """A cup and its package for MuJoCo (MJCF): six joints in the middle of the cup."""
 
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.model.cup_package import Cup, Package
+from bellows_ros.core.model.cup_package import Cup, LAW, Package
 import numpy as np
 
 JOINT = '<joint name="cup_{}_{}" type="{}" axis="{}" stiffness="{!r}" damping="{!r}"/>'
@@ -49,7 +49,7 @@ def mjcf(cup: Cup, package: Package, gravity: Array) -> tuple[str, list[str]]:
             for each in zip('xyz', np.eye(3, dtype=int), strict=True))]
     lacking = [f'off-diagonal entries of {name}' for name, matrix in (('K', K), ('P', P))
                if np.any(matrix != np.diag(np.diag(matrix)))]
-    lacking += ['cup.relaxation'] * any(cup.relaxation) + ['cup.stretch'] * any(cup.stretch)
+    lacking += [term.parameter for term in LAW.values() if any(getattr(cup, term.name))]
     return MODEL.format(
         gravity=_row(gravity), middle=middle, joints='\n        '.join(joints), mass=package.mass,
         com=_row(package.com + [0.0, 0.0, middle]),

@@ -11,6 +11,7 @@ from pathlib import Path
 import textwrap
 from typing import Any
 
+from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, Parameter, PARAMETERS, Value
 from bellows_ros.core.signals.residuals import AXES
@@ -24,9 +25,9 @@ _INDENT = '    '
 _ROW = 6  # items of a list on one line
 _TO_FILL_IN = "SET THESE where they apply: remove the '#', and change the example."
 
-# Units of the rows of K and P as comments: linear and angular columns.
-_ROW_UNITS = {
-    'cup.stiffness': ('N/m, N', 'N, N m/rad'), 'cup.damping': ('N s/m, N s', 'N s, N m s/rad')}
+# Units of the rows of K and P as comments: of linear and of angular rows.
+_ROW_UNITS = {term.parameter: (', '.join(term.units[:2]), ', '.join(term.units[1:]))
+              for term in TERMS.values() if term.is_matrix}
 
 
 def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:

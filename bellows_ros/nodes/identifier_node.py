@@ -89,7 +89,6 @@ class IdentifierNode(TableNode):
         result.require_usable()
         cup = {name: checks.validate(name, value) for name, value in result.parameters().items()
                if name.startswith(CUP_PREFIXES)}
-        cup.setdefault('cup.relaxation', (0.0, 0.0))  # K belongs to a cup without relaxation
         self.values = self.values.replaced(
             {name: cup[name] for name in RESULT_NAMES if name in cup})
         for name in RESULT_NAMES:

@@ -5,7 +5,8 @@ import math
 import textwrap
 from typing import Any, TYPE_CHECKING
 
-from bellows_ros.core.identification.result import Fit, UNITS
+from bellows_ros.core.identification.result import CHANCE, Fit, UNITS
+from bellows_ros.core.model.cup_package import LAW, Term
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.signals.residuals import AXES, DISPLAY_FACTORS, DISPLAY_UNITS
 from bellows_ros.errors import shown
@@ -192,19 +193,25 @@ def print_cup(fit: Fit, out: Any) -> None:
         out.table([row[:columns] for row in rows])
     if columns > 2:
         out.paragraph(TWO_ERRORS)
-    for law, numbers, errors, names in (
-            ('The rubber relaxes (K is the static stiffness): r1 = {}, r2 = {}.',
-             fit.relaxation, fit.relaxation_std, ('', '')),
-            ('The cup is stiffer in tension than in compression: a = {}, b = {}.',
-             fit.stretch, fit.stretch_std, ('N/m^2', 'N'))):
-        if any(numbers):
-            out.paragraph(law.format(*map(with_error, numbers, errors, names)))
+    out.paragraph(*(law_sentence(term, fit.law[name], fit.law_std[name])
+                    for name, term in LAW.items() if any(fit.law[name])))
     for _, name, matrix, _, std in matrices if structure.couples else ():
         out.table([('', *AXES), *(
             (axis, *('-' if math.isinf(error) else f'{value:.4g}'
                      for value, error in zip(values, errors, strict=True)))
             for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True))],
             right=True, title='{} in {}, {} and {}:'.format(name, *UNITS[name]))
+
+
+def law_sentence(term: Term, numbers: Sequence[float], std: Sequence[float]) -> str:
+    """Return the effect of a term of the law, and its numbers with standard errors."""
+    effect, first = term.effect, numbers[0]
+    if term.by_sign and abs(first) > CHANCE * std[0]:
+        effect = term.by_sign[0 if first > 0.0 else 1]
+    listed_numbers = ', '.join(
+        f'{symbol} = {with_error(value, error, unit)}'
+        for symbol, value, error, unit in zip(term.symbols, numbers, std, term.units, strict=True))
+    return f'{effect}: {listed_numbers}.'
 
 
 def print_replay(result: 'Replay', out: Any) -> None:

@@ -14,6 +14,7 @@ from bellows_ros.core.identification.result import Fit, parameter_units
 from bellows_ros.core.identification.segments import ReducedRecording
 from bellows_ros.core.identification.unknowns import as_found, KINDS
 from bellows_ros.core.model import cup_package, validity_range
+from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
@@ -41,9 +42,6 @@ import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
     from bellows_ros.workflows.replay import Replay
-
-CUP_EXTRAS = ('cup.relaxation', 'cup.stretch', 'cup.layout')
-"""Parameters on which K and P depend; the cup file has them unless they have the default."""
 
 UNKNOWN_STD = 1e9
 """Standard error of an unidentifiable entry in parameter files."""
@@ -122,32 +120,28 @@ class Identification(CommandResult):
         return self.values.replaced({
             'cup.length': self.cup_length,
             **{name: checks.validate(name, value) for name, (value, *_) in self.found.items()},
-            'cup.stiffness': tuple(self._matrices[0].ravel().tolist()),
-            'cup.damping': tuple(self._matrices[1].ravel().tolist()),
-            'cup.relaxation': self.fit.relaxation,
-            'cup.stretch': self.fit.stretch})
+            **{TERMS[name].parameter: TERMS[name].to_parameter(term)
+               for name, term in self._terms.items()}})
 
     @cached_property
-    def _matrices(self) -> tuple[Array, Array]:
-        """K and P, with the values of the given cup for numbers that are not identifiable."""
+    def _terms(self) -> dict[str, Any]:
+        """Fitted terms, with numbers of the given cup for unidentifiable ones of K and P."""
         structure, given = structure_named(self.fit.structure), conversion.one_cup_of(self.values)
         K, P = structure.matrices(np.where(
             np.isfinite(np.diag(self.fit.covariance)), self.fit.parameters,
             structure.parameters(given.stiffness, given.damping)))
         usable = not self.fit.usable or min(np.linalg.eigvalsh(M)[0] for M in (K, P)) > 0.0
-        return (K, P) if usable else (self.fit.stiffness, self.fit.damping)
+        return {**self.fit.terms, 'stiffness': K, 'damping': P} if usable else self.fit.terms
 
     def parameters(self, with_cell: bool = False) -> dict[str, Any]:
         """
-        Return the parameters of the cup file: the cup with standard errors and validity.
+        Return the parameters of the cup file: all terms, with standard errors and validity.
 
         Without a cell file, the length is corrected such that the package has the pose of the fit
         with the given centre of mass and marker.
         """
-        values = {
-            name: value for name, value in self.cup_values().items()
-            if name in ('cup.stiffness', 'cup.damping', 'cup.length')
-            or name in CUP_EXTRAS and value != table.PARAMETERS[name].default}
+        found = self.cup_values()
+        values = {term.parameter: found[term.parameter] for term in TERMS.values()}
         if not with_cell and self.recordings and self.found:
             free = {name: rows[0] for name, rows in self.fit.nuisances.items()}
             own = ~np.array(self.recordings[0].settings.moves_with_com)
@@ -449,9 +443,9 @@ def fit_json(fit: Fit) -> dict[str, Any]:
     return {
         **results.attributes(
             fit, 'method', 'structure', 'stiffness', 'damping', 'stiffness_std', 'damping_std',
-            'relaxation', 'relaxation_std', 'stretch', 'stretch_std', 'samples_used',
-            'samples_rejected', 'condition_number', 'usable', 'residual_rms',
+            'samples_used', 'samples_rejected', 'condition_number', 'usable', 'residual_rms',
             'chi2', 'robust_chi2', 'converged'),
+        **fit.law, **{f'{name}_std': std for name, std in fit.law_std.items()},
         'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance,

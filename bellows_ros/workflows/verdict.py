@@ -260,9 +260,8 @@ def _all_simulated(
 ) -> Iterator[Simulated]:
     """Yield free simulations of recordings with a usable cup of a length (m)."""
     structure = given_structure(given)
-    cup = gripper_of(replace(
-        one_cup_of(given), stiffness=fit.stiffness, damping=fit.damping, length=length,
-        relaxation=fit.relaxation, stretch=fit.stretch), structure.places)
+    cup = gripper_of(
+        one_cup_of(given).with_terms({**fit.terms, 'length': length}), structure.places)
     held = None if fit.held_out is None else _cup_of(fit.held_out, cup, structure)
     for number, recording in enumerate(tested if fit.usable else ()):
         yield _simulated(cup, as_found(recording, fit.nuisances, number),

@@ -1,7 +1,6 @@
 """The identifier node: finds the cup beside the executor and shows it as parameters."""
 
-
-from bellows_ros.core.parameters.table import PARAMETERS
+from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
@@ -61,7 +60,8 @@ def test_error_of_the_work_ends_the_node(ros, tmp_path):
 def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path, make_predictor):
     """Go the whole way from a recording to a running predictor, and change nothing else of it."""
     own = {'cup.lip_radius': 0.03, 'cup.friction': 0.7, 'cup.suction_area': 2e-3}
-    predictor = make_predictor({**PACKAGE, **own})
+    before = {'cup.layout': [0.05, 0.0, 0.0, -0.05, 0.0, 0.0], 'cup.relaxation': [0.2, 0.1]}
+    predictor = make_predictor({**PACKAGE, **own, **before})
     written = tmp_path / 'cup.yaml'
     node = make(
         ros, bags=[str(rig / 'clean')], output__parameters=str(written), predictor='/predictor',
@@ -77,14 +77,15 @@ def test_cup_is_found_shown_written_and_set_on_the_predictor(ros, rig, tmp_path,
     found = np.reshape(shown['cup.stiffness'], (6, 6))
     assert_allclose(np.diag(found), np.diag(K), rtol=0.01)  # what is promised for this recording
     assert {name: tuple(value) for name, value in shown.items()}.items() <= values.items()
-    assert {'cup.length', 'cup.stiffness_std', 'cup.valid_low', 'cup.valid_high'} <= set(values)
+    terms = {term.parameter: term.default for term in TERMS.values()}
+    errors = {'cup.stiffness_std', 'cup.damping_std', 'cup.valid_low', 'cup.valid_high'}
+    assert set(values) == terms.keys() | errors
+    for name in ('cup.layout', 'cup.relaxation', 'cup.stretch'):  # the recording has none
+        assert values[name] == predictor.values[name] == terms[name]
     for name, value in values.items():  # to the digits of a file
         assert_allclose(predictor.values[name], value, err_msg=name)
     assert (tmp_path / 'fit.json').is_file()
     assert {name: predictor.values[name] for name in own} == own
-    assert not [name for name, value in values.items()
-                if name not in ('cup.stiffness', 'cup.damping', 'cup.length')
-                and value == PARAMETERS[name].default]
 
 
 def test_packages_in_files_are_enough_and_an_absent_predictor_is_named(ros, root, monkeypatch):

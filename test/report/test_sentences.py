@@ -1,19 +1,23 @@
 """Sentences of findings with numbers and units, and foreign text shown safely."""
 
+from dataclasses import replace
 import os
 import re
 from string import Formatter
 
 from bellows_ros import plots
 from bellows_ros.core.findings import Finding, Level
+from bellows_ros.core.model.cup_package import Cup, TERMS
 from bellows_ros.errors import shown
 from bellows_ros.report import sentences
 from bellows_ros.report.findings import entry, facts, prevents, text, warnings
 from bellows_ros.report.sentences import formatted, SENTENCE_UNITS
+from bellows_ros.report.text import law_sentence
 import numpy as np
 import pytest
 
 from ..cli.conftest import bellows  # noqa: F401 (a fixture)
+from ..core import oracle
 from ..files.recordings import EPOCH_NS, message, POSE, TYPES, write
 
 
@@ -29,6 +33,22 @@ from ..files.recordings import EPOCH_NS, message, POSE, TYPES, write
 def test_a_number_is_shown_in_the_unit_of_its_sentence(template, number, expected):
     """Take SI units."""
     assert formatted(template, x=number) == expected
+
+
+@pytest.mark.parametrize('a, std, named', [
+    (2e4, 300.0, 'compression than in tension'), (-2e4, 300.0, 'tension than in compression'),
+    (2e4, 1e4, 'changes as its length does')])
+def test_the_side_on_which_a_cup_is_stiffer_is_the_side_of_its_energy(a, std, named):
+    """Compare the curvature of a second implementation's energy in compression and tension."""
+    sentence = law_sentence(TERMS['stretch'], (a, -5.0), (std, 0.1))
+    assert f'{named}: a = ' in sentence and 'N/m^2, b = -5.00 ± 0.10 N' in sentence
+    cup, poses = replace(Cup.thesis(), stretch=(a, -5.0)), np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 2, 3] = 1e-3 * np.arange(-2.0, 3.0)  # the lip towards the arm
+    energy = np.array([oracle.potential(cup, H) for H in poses])
+    tension, _, compression = np.diff(energy, n=2)
+    if 'than' in named:
+        stiffer = 'compression' if compression > tension else 'tension'
+        assert named.startswith(stiffer)
 
 
 @pytest.mark.parametrize('text', [

@@ -10,12 +10,12 @@ factor give equal motion, so that K is as uncertain as the mass.
 Two clocks, two worlds and a marker anywhere on the package are also estimated, from one recording.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
@@ -46,6 +46,7 @@ from bellows_ros.core.identification.result import (
     inverted,
     MAJORITY,
     MAX_RELATIVE_ERROR,
+    NO_LAW,
     not_identifiable,
     with_unidentifiable,
 )
@@ -70,7 +71,7 @@ from bellows_ros.core.identification.unknowns import (
     RATIO_STD,
     weak_prior,
 )
-from bellows_ros.core.model.cup_package import Cup
+from bellows_ros.core.model.cup_package import Cup, LAW
 from bellows_ros.core.model.structure import AUTO, has_coupling, require_stretch, Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of, richest_structure
 from bellows_ros.core.parameters.values import Values
@@ -114,6 +115,10 @@ MAX_LEVERAGE = 0.999
 """Largest leverage of one second in the jackknife."""
 
 
+OFF = dict.fromkeys(LAW, 'off')
+"""No fitted terms of the law."""
+
+
 def output_error(
     measured: Held | Sequence[Segment],
     structure: Structure,
@@ -121,10 +126,9 @@ def output_error(
     progress: Report = no_report,
     free: Free = NOTHING,
     named: Sequence[str] = (),
-    relaxation: str = 'off',
+    law: Mapping[str, str] = OFF,
     given: Free = NOTHING,
     richer: Structure | None = None,
-    stretch: str = 'off',
     common: tuple[str, ...] = (),
     standstills: Sequence[Standstill] = (),
 ) -> Fit:
@@ -145,15 +149,13 @@ def output_error(
         Standard deviations, SI units, of quantities of `KINDS` without a given value.
     named : sequence of str
         Names of the free quantities that are results.
-    relaxation : str
-        Whether the strengths of relaxation are free: 'off'; 'auto' if significant; 'on' with an
-        error if insignificant.
+    law : mapping
+        Whether the numbers of each term of `LAW` are free: 'off'; 'auto' if significant; 'on' with
+        an error if insignificant.
     given : mapping, optional
         Standard deviations of given quantities, the priors with which they are free.
     richer : Structure, optional
         Structure that replaces the first one if its couplings are significant.
-    stretch : str
-        Whether the coefficients of stretch are free, like `relaxation`.
     common : tuple of str, optional
         Names of quantities that all recordings share instead of having their own.
     standstills : sequence of Standstill
@@ -162,7 +164,7 @@ def output_error(
     Raises
     ------
     UndeterminedError
-        If relaxation or stretch is 'on' and is not significant.
+        If a term of the law is 'on' and is not significant.
 
     """
     problem = Problem.of(measured, structure, start, free, common=common,
@@ -170,7 +172,7 @@ def output_error(
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
     problem = replace(problem, free={**given, **free})
     found = minimise(problem, progress)
-    for extension in _extensions(richer, stretch, relaxation):
+    for extension in _extensions(richer, law):
         wider = _tried(found, extension, progress)
         if wider is None and extension.refusal:
             raise UndeterminedError(extension.refusal)
@@ -192,20 +194,20 @@ class Extension(NamedTuple):
     refusal: str = ''
 
 
-def _extensions(richer: Structure | None, stretch: str, relaxation: str) -> Iterator[Extension]:
+def _extensions(richer: Structure | None, law: Mapping[str, str]) -> Iterator[Extension]:
     """Yield the extensions to be tested; those that are 'on' need not extrapolate."""
-    if relaxation != 'off':
+    if law['relaxation'] != 'off':
         yield Extension(weak_prior(['relaxation']), None, _explains_most, (
             'fit.relaxation: the recordings show no relaxation that exceeds its standard error. '
             'Hold a tilt for 5 to 10 s beside the motion, or set fit.relaxation: auto.')
-            if relaxation == 'on' else '')
+            if law['relaxation'] == 'on' else '')
     if richer is not None:
         yield Extension({}, richer, lambda end, _: has_coupling(end.cup.stiffness))
-    if stretch != 'off':
+    if law['stretch'] != 'off':
         yield Extension(weak_prior(['stretch']), None, *(
             (_is_passive, 'fit.stretch: the recordings show no stretch that exceeds its standard '
              'error. Record two masses that differ by a factor of two, or set fit.stretch: auto.')
-            if stretch == 'on' else (_extrapolates,)))
+            if law['stretch'] == 'on' else (_extrapolates,)))
 
 
 def _tried(found: Solution, extension: Extension, report: Report) -> Solution | None:
@@ -373,17 +375,11 @@ def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
     total_std = np.hypot(own_std, np.sqrt(np.pad(np.diag(from_given), (0, problem.own.size))))
     poses, used = np.sum([outline.poses for outline in problem.outlines], axis=0).tolist()
     information = found.information.shared[:size, :size]
-    of_law = {name: place[0] for name, place in problem.places.items() if name in OF_LAW}
+    of_law = {name: place[0] for name, place in problem.places.items() if name in LAW}
     if 'relaxation' in of_law:
         notes += _assumed(problem.extended('relaxation', found.theta), covariance[np.ix_(
             *[of_law['relaxation']] * 2)])
-    more: dict[str, Any] = {
-        key: {name: values[place] for name, place in problem.places.items()
-              if name not in OF_LAW}
-        for key, values in (('nuisances', x), ('nuisances_std', total_std))}
-    for name, place in of_law.items():
-        more |= {name: tuple(problem.extended(name, found.theta).tolist()),
-                 f'{name}_std': tuple(own_std[place].tolist())}
+    others = {name: place for name, place in problem.places.items() if name not in LAW}
     return Fit(
         method='output_error',
         structure=problem.structure.name,
@@ -406,11 +402,11 @@ def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
             problem.local, found.theta[problem.index(0)])[2]) if problem.standstills else None,
         noise_in_motion=found.noise_in_motion,
         named=tuple(named),
-        **more)
-
-
-OF_LAW = 'relaxation', 'stretch'
-"""Quantities that extend the law of the cup."""
+        law={name: tuple(problem.extended(name, found.theta).tolist()) for name in LAW},
+        law_std={**NO_LAW, **{
+            name: tuple(own_std[place].tolist()) for name, place in of_law.items()}},
+        nuisances={name: x[place] for name, place in others.items()},
+        nuisances_std={name: total_std[place] for name, place in others.items()})
 
 
 def _assumed(strengths: Array, covariance: Array) -> list[Finding]:
@@ -605,7 +601,7 @@ def fitted(
     structure, sums = given_structure(values), pairs.pool.results(itemgetter(1), pairs)
     if values.fit.method == 'least_squares':
         return least_squares(sums)
-    start = replace(one_cup_of(values), relaxation=(0.0, 0.0), stretch=(0.0, 0.0))
+    start = one_cup_of(values).with_terms(NO_LAW)
     parts = [reduced(recording, values.cup.length) for recording in recordings]
     if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
         start = start_cup(sums, start)
@@ -614,9 +610,9 @@ def fitted(
     return output_error(
         pairs.pool.keep(itemgetter(0), pairs), structure, start,
         partial(_report, progress, count(1)) if progress else no_report, weak_prior(named), named,
-        values.fit.relaxation, {} if exactly else given_std(values),
+        {name: 'off' if structure.places and not term.is_additive else values[f'fit.{name}']
+         for name, term in LAW.items()}, {} if exactly else given_std(values),
         richest_structure(values) if values.fit.structure == AUTO else None,
-        'off' if structure.places else values.fit.stretch,
         MARKERS if values.recording.marker == 'shared' else (), standstills)
 
 

@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bellows_ros.core import findings
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
+from bellows_ros.core.model.cup_package import LAW, TERMS
 from bellows_ros.core.model.structure import ROUNDING, Structure, structure_named, STRUCTURES
 import numpy as np
 
@@ -38,7 +39,7 @@ def not_identifiable(
         'label': label, 'why': why, 'how': how, 'given': given})
 
 
-UNITS = {'K': ('N/m', 'N', 'N m/rad'), 'P': ('N s/m', 'N s', 'N m s/rad')}
+UNITS = {'K': TERMS['stiffness'].units, 'P': TERMS['damping'].units}
 """Units of entries of K and P: translation, coupling, rotation."""
 
 WRENCH_UNITS = ('N',) * 3 + ('N m',) * 3
@@ -117,6 +118,10 @@ class Cause(NamedTuple):
             self.share >= MAJORITY and self.moved > MATERIAL))
 
 
+NO_LAW = {name: (0.0,) * len(term.symbols) for name, term in LAW.items()}
+"""Numbers of the terms of the law by name, of a cup without them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
@@ -154,14 +159,11 @@ class Fit:
     standstills : (int, float) or None
         Number of standstills in the fit, and chi^2 of their deviations per number, 1 if the errors
         of the mean poses explain them, above 1 with less weight; None without any.
-    relaxation, relaxation_std : (float, float)
-        Strengths r1, r2 of the cup's relaxation, and their standard errors; zeros without it.
+    law, law_std : mapping
+        Numbers of the terms of `LAW`, and their standard errors, by name; zeros without a term.
     noise_in_motion : mapping
         Standard deviations (6,) of the package's poses by number of the recording, m and rad, if
         they were estimated and are larger than at rest.
-    stretch, stretch_std : (float, float)
-        Coefficients a, b of the cup's stretch (N/m^2, N), and their standard errors; zeros without
-        stretch.
     causes : tuple of Cause
         Possible causes of the residual of output error, the likeliest first.
     from_given : ndarray (2 n, 2 n) or None
@@ -192,11 +194,9 @@ class Fit:
     robust_chi2: float | None = None
     named: tuple[str, ...] = ()
     standstills: tuple[int, float] | None = None
-    relaxation: tuple[float, float] = (0.0, 0.0)
-    relaxation_std: tuple[float, float] = (0.0, 0.0)
+    law: Mapping[str, tuple[float, ...]] = field(default_factory=NO_LAW.copy)
+    law_std: Mapping[str, tuple[float, ...]] = field(default_factory=NO_LAW.copy)
     noise_in_motion: Mapping[int, Array] = field(default_factory=dict)
-    stretch: tuple[float, float] = (0.0, 0.0)
-    stretch_std: tuple[float, float] = (0.0, 0.0)
     causes: tuple[Cause, ...] = ()
     from_given: Array | None = None
     held_out: Array | None = None
@@ -217,6 +217,11 @@ class Fit:
     def damping(self) -> Array:
         """P (6, 6) of (3.33) in SI units, linear first."""
         return structure_named(self.structure).matrices(self.parameters)[1]
+
+    @property
+    def terms(self) -> dict[str, Any]:
+        """Fitted terms of one cup, by attribute of `Cup`."""
+        return {'stiffness': self.stiffness, 'damping': self.damping, **self.law}
 
     @property
     def stiffness_std(self) -> Array:

@@ -39,6 +39,7 @@ from bellows_ros.core.model.cup_package import (
     Cup,
     gravity_vector,
     gripper_of,
+    LAW,
     model_tuple,
     Package,
     varied,
@@ -311,7 +312,8 @@ class Problem:
         """Initial cup with definite matrices, and with internal strains if relaxation is free."""
         cup, ordinary = self.guess, np.diag(self.ordinary_damping(self.guess.stiffness))
         if 'relaxation' in self.free:
-            cup = replace(cup, relaxation=_not_below(cup.relaxation))
+            cup = replace(cup, relaxation=tuple(
+                np.maximum(cup.relaxation, MIN_STRENGTH).tolist()))
         least = np.diag(MIN_DAMPING * ordinary)
         if min(np.linalg.eigvalsh(M)[0] for M in (cup.stiffness, cup.damping - least)) <= 0.0:
             cup = replace(cup, stiffness=np.diag(np.diag(cup.stiffness)), damping=np.diag(
@@ -412,9 +414,8 @@ class Problem:
         return slopes
 
     def extended(self, name: str, theta: Array) -> Array:
-        """Return strengths of relaxation, or coefficients of stretch (N/m^2, N), (2,)."""
-        change = self.values(theta).get(name, np.zeros(2))
-        return np.asarray(getattr(self.first_cup, name) + change)
+        """Return the numbers (n,) of a term of the law, SI units."""
+        return np.array(getattr(self.first_cup, name)) + self.values(theta).get(name, 0.0)
 
     def transferred(self, other: 'Problem', theta: Array) -> Array:
         """Return the unknowns equal to the unknowns of another problem with the same cup."""
@@ -448,13 +449,10 @@ class Problem:
         cup = gripper_of(self.cup(theta), self.structure.places)
         if 'length' in free:
             cup = replace(cup, length=cup.length + float(free['length'][0]))
-        if 'relaxation' in free:
-            cup = replace(cup, relaxation=_not_below(self.first_cup.relaxation + free[
-                'relaxation']))
-        if 'stretch' in free:
-            a, b = (self.first_cup.stretch + free['stretch']).tolist()
-            cup = replace(cup, stretch=(a, b))
-        return cup
+        terms = {name: getattr(self.first_cup, name) + free[name] for name in LAW if name in free}
+        if 'relaxation' in terms:
+            terms['relaxation'] = np.maximum(terms['relaxation'], MIN_STRENGTH)
+        return cup.with_terms({name: tuple(term.tolist()) for name, term in terms.items()})
 
     def moved(self, theta: Array, step: Array) -> Array:
         """Return unknowns after a step that is limited for logarithms."""
@@ -525,9 +523,3 @@ def _scaled(payload: Package, free: Free) -> Package:
         payload.mass * float(np.exp(np.sum(free.get('mass', 0.0)))),
         payload.inertia * np.outer(factors, factors),
         payload.com + free.get('com', np.zeros(3)), is_checked=False)
-
-
-def _not_below(strengths: ArrayLike) -> tuple[float, float]:
-    """Return strengths of relaxation large enough for internal strains."""
-    r = np.maximum(strengths, MIN_STRENGTH)
-    return float(r[0]), float(r[1])

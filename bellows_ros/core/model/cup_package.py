@@ -1,6 +1,6 @@
 """Cup and package as frozen data, the regressor, and the effect of uncertain parameters."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, InitVar, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -29,6 +29,82 @@ PARAMETER_NAMES = (
     'package.mass', *(f'package.com[{axis}]' for axis in 'xyz'),
     *(f'package.inertia[{entry}]' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
 """Names of the uncertain parameters (52,) of cup and package, in the order of arrays."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """
+    The declaration of a term of a cup: an attribute of `Cup`, and the parameter of this name.
+
+    Parameters
+    ----------
+    name : str
+        Name of the attribute. The layout has none, as a `Cup` is equivalent to a whole gripper.
+    units : tuple of str
+        Units of the numbers, '' without; of a matrix, of translation, coupling and rotation.
+    default : float or tuple of float
+        Default of the parameter: of the cup of the thesis, or of a cup without the term.
+    require : callable, optional
+        Function of the term that raises BellowsError if no cup can have it.
+    is_matrix : bool
+        Whether the term is a symmetric (6, 6) matrix, in parameters 36 numbers, row-major.
+    symbols : tuple of str
+        Symbols of the numbers of a term that extends the law of K and P; () for others.
+    effect : str
+        Effect of a term of the law, in words.
+    by_sign : tuple of str
+        Effect if the first number is above 0, and if it is below 0; () if it has one sign.
+    is_additive : bool
+        Whether equal cups with a term of the law are together a cup with this law.
+
+    """
+
+    name: str
+    units: tuple[str, ...]
+    default: float | tuple[float, ...]
+    require: Callable[[Any], object] | None = None
+    is_matrix: bool = False
+    symbols: tuple[str, ...] = ()
+    effect: str = ''
+    by_sign: tuple[str, ...] = ()
+    is_additive: bool = True
+
+    @property
+    def parameter(self) -> str:
+        """Name of the parameter."""
+        return f'cup.{self.name}'
+
+    def from_parameter(self, value: Any) -> Any:
+        """Return the term of the value of its parameter."""
+        return structure.matrix(value) if self.is_matrix else value
+
+    def to_parameter(self, value: Any) -> Any:
+        """Return the value of the parameter."""
+        return tuple(value.ravel().tolist()) if self.is_matrix else value
+
+
+def _diagonal(numbers: Sequence[float]) -> tuple[float, ...]:
+    """Return a diagonal matrix as 36 numbers."""
+    return tuple(np.diag(numbers).ravel().tolist())
+
+
+TERMS: Mapping[str, Term] = {term.name: term for term in (
+    Term('stiffness', ('N/m', 'N', 'N m/rad'), _diagonal(structure.THESIS_STIFFNESS),
+         structure.require_stiffness, is_matrix=True),
+    Term('damping', ('N s/m', 'N s', 'N m s/rad'), _diagonal(structure.THESIS_DAMPING),
+         structure.require_damping, is_matrix=True),
+    Term('length', ('m',), structure.THESIS_LENGTH),
+    Term('relaxation', ('', ''), (0.0, 0.0), symbols=('r1', 'r2'),
+         effect='The rubber relaxes (K is the static stiffness)'),
+    Term('stretch', ('N/m^2', 'N'), (0.0, 0.0), symbols=('a', 'b'), is_additive=False,
+         effect='The stiffness of the cup changes as its length does', by_sign=(
+             'The cup is stiffer in compression than in tension',
+             'The cup is stiffer in tension than in compression')),
+    Term('layout', ('m',), (0.0, 0.0, 0.0), structure.positions_of))}
+"""All terms of a cup by name. Files, nodes, fits, checks and exports iterate over them."""
+
+LAW: Mapping[str, Term] = {name: term for name, term in TERMS.items() if term.symbols}
+"""Terms that extend the law of K and P, all zeros for a cup without them."""
 
 
 def frozen_array(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
@@ -66,8 +142,8 @@ class Cup:
     relaxation_times : (float, float)
         Times tau_b of the branches, s.
     stretch : (float, float)
-        Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2): a spring
-        that is stiffer in tension than in compression, and stiffer in bending under tension.
+        Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2): below 0
+        for a spring that is stiffer in tension than in compression, and in bending under tension.
 
     Raises
     ------
@@ -88,9 +164,9 @@ class Cup:
     stiffness: Array
     damping: Array
     length: float
-    relaxation: tuple[float, float] = (0.0, 0.0)
+    relaxation: tuple[float, ...] = (0.0, 0.0)
     relaxation_times: tuple[float, float] = structure.RELAXATION_TIMES
-    stretch: tuple[float, float] = (0.0, 0.0)
+    stretch: tuple[float, ...] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ('stiffness', 'damping'):
@@ -122,6 +198,15 @@ class Cup:
         """Return the cup identified in the thesis: K (4.78), P (4.79), l0 of section 4.2."""
         return cls(np.diag(structure.THESIS_STIFFNESS), np.diag(structure.THESIS_DAMPING),
                    structure.THESIS_LENGTH)
+
+    def with_terms(self, terms: Mapping[str, Any]) -> 'Cup':
+        """Return a cup with other terms, by name."""
+        return replace(self, **terms)
+
+    def parameters(self) -> dict[str, Any]:
+        """Return all terms by parameter; the layout is of one cup, as K and P are composed."""
+        return {term.parameter: term.to_parameter(getattr(self, term.name, term.default))
+                for term in TERMS.values()}
 
     @cached_property
     def as_tuple(self) -> CupTuple:
@@ -200,16 +285,18 @@ def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     Raises
     ------
     BellowsError
-        If the single cup has stretch: the energy of several cups has another form.
+        If the single cup has a term of which the energy of several cups has another form.
 
     """
     if not len(places) or structure.is_single(np.asarray(places)):
         return one
-    if any(one.stretch):
-        raise BellowsError(
-            f'cup.stretch is {list(one.stretch)}, but cup.layout has {len(places)} cups; expected '
-            '[0.0, 0.0] with several, whose energy is none of this form. Set cup.stretch: '
-            '[0.0, 0.0], or leave cup.layout out and identify the gripper as one cup.')
+    for term in LAW.values():
+        numbers, zeros = list(getattr(one, term.name)), list(np.zeros(len(term.symbols)))
+        if any(numbers) and not term.is_additive:
+            raise BellowsError(
+                f'{term.parameter} is {numbers}, but cup.layout has {len(places)} cups; expected '
+                f'{zeros} with several, whose energy is none of this form. Set {term.parameter}: '
+                f'{zeros}, or leave cup.layout out and identify the gripper as one cup.')
     K, P = (structure.composed(each, np.asarray(places)) for each in (one.stiffness, one.damping))
     return replace(one, stiffness=K, damping=P)
 

@@ -21,7 +21,7 @@ from bellows_ros.core.geometry.jit import as_inputs, inlined_kernel
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector, ZERO
 import numpy as np
 
-Stretch = tuple[float, float]
+Stretch = tuple[float, ...]
 """Coefficients a (N/m^2) and b (N) of the energy a h_z^3 + b h_z (h_rx^2 + h_ry^2)."""
 Blocks = tuple[Matrix, Matrix, Matrix, *tuple[Stretch, ...]]
 """K or P in blocks; K is followed by the coefficients of the stretch."""

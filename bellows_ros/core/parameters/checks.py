@@ -9,6 +9,7 @@ from typing import Any
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
+from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.core.parameters import table
 from bellows_ros.core.parameters.table import Kind, Parameter, Value
 from bellows_ros.core.parameters.values import Values
@@ -70,9 +71,11 @@ def validate(name: str, value: object) -> Value:
     if name in POSE_PARAMETERS:
         value = _pose(parameter, value, name == POSE_PARAMETERS[0])
     normal = convert(parameter, value)
-    check = _PHYSICAL.get(name)
-    if check:
-        check(parameter, normal)
+    if name in _PHYSICAL:
+        _PHYSICAL[name](normal)
+    term = _TERMS.get(name)
+    if term and term.require:
+        term.require(term.from_parameter(normal))
     return normal
 
 
@@ -222,15 +225,15 @@ def require(values: Mapping[str, object], required: Iterable[str]) -> None:
             'recording; for example:\n\n/**:\n  ros__parameters:\n' + '\n'.join(lines))
 
 
-_PHYSICAL: Mapping[str, Callable[[Parameter, Any], object]] = {
-    'package.inertia': lambda p, value: structure.check_inertia(
+_PHYSICAL: Mapping[str, Callable[[Any], object]] = {
+    'package.inertia': lambda value: structure.check_inertia(
         structure.inertia_matrix(value), MAX_INERTIA_STD * np.array(value[:3])),
-    'cup.stiffness': lambda p, value: structure.require_stiffness(structure.matrix(value), p.name),
-    'cup.damping': lambda p, value: structure.require_damping(structure.matrix(value), p.name),
-    'cup.layout': lambda p, value: structure.positions_of(value),
-    'gravity.direction': lambda p, value: require_direction(value),
-    'release.mass_range': lambda p, value: _require_mass_range(*value),
-    'vacuum.holding': lambda p, value: _require_vacuum(value)}
+    'gravity.direction': lambda value: require_direction(value),
+    'release.mass_range': lambda value: _require_mass_range(*value),
+    'vacuum.holding': lambda value: _require_vacuum(value)}
+
+
+_TERMS = {term.parameter: term for term in TERMS.values()}
 
 
 def _require_vacuum(holding: float) -> None:

@@ -10,7 +10,7 @@ import warnings
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
-from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, Uncertain
+from bellows_ros.core.model.cup_package import Cup, gripper_of, Package, TERMS, Uncertain
 from bellows_ros.core.model.grip import Grip, Law, Release, RELEASE_NAMES
 from bellows_ros.core.model.pseudo_inertia import flatness, nearest
 from bellows_ros.core.model.structure import matrix, Structure, UPPER
@@ -22,6 +22,12 @@ import numpy as np
 
 STIFFNESS_BY_VACUUM = np.array([0.0, 0.0, 2.0e-5, 2.3e-5, 2.3e-5, 0.0])
 """Relative change of the diagonal of K per vacuum, for finite-element bellows, 1/Pa."""
+
+BENDING_BY_MASS = 0.30
+"""Relative change of the stiffness in bending per mass, for these bellows, 1/kg."""
+
+BENDING_WITH_STRETCH = 0.03
+"""Relative change of the stiffness in bending per mass beyond the fitted stretch, 1/kg."""
 
 NO_CUPS: Mapping[int, float] = MappingProxyType({})
 """Empty default for measured quantities of single cups."""
@@ -41,17 +47,17 @@ def cup_of(values: Values) -> Cup:
 
 def one_cup_of(values: Values) -> Cup:
     """Return a single cup of parameter values; cup.layout is ignored."""
-    stiffness = structure.matrix(values.cup.stiffness)
-    a, b = values.get('cup.stretch', (0.0, 0.0))
-    ends = [values.get(f'cup.valid_{end}', np.zeros(14))[2] for end in ('low', 'high')]
-    structure.require_stretch(stiffness, (a, b), *(ends if any(ends) else ()))
-    for doubt in structure.cup_doubts(stiffness, values.cup.length):
+    cup = Cup(**{
+        name: term.from_parameter(values.get(term.parameter, term.default))
+        for name, term in TERMS.items() if name != 'layout'})
+    low, high = (values.get(f'cup.valid_{end}', np.zeros(14))[2] for end in ('low', 'high'))
+    if low or high:
+        structure.require_stretch(cup.stiffness, cup.stretch, low, high)
+    else:
+        structure.require_stretch(cup.stiffness, cup.stretch)
+    for doubt in structure.cup_doubts(cup.stiffness, cup.length):
         warnings.warn(doubt, UnitWarning, stacklevel=2)
-    return Cup(
-        stiffness, structure.matrix(values.cup.damping),
-        length=values.cup.length,
-        relaxation=values.get('cup.relaxation', (0.0, 0.0)),
-        stretch=(a, b))
+    return cup
 
 
 def tag_of(values: Values) -> Tag | None:
@@ -108,10 +114,10 @@ def stiffness_std(values: Values) -> Array:
             'low', 'high'))
         return max(low - value, value - high, 0.0) if high > 0.0 and value > 0.0 else 0.0
 
-    # relative change per kg, without and with stretch
-    by_mass = (0.30, 0.03)[any(values.get('cup.stretch', ()))]
+    has_stretch = any(values.get('cup.stretch', ()))
     more = distance('vacuum.holding', 13) * STIFFNESS_BY_VACUUM
-    more[3:5] += by_mass * distance('package.mass', 12)
+    more[3:5] += (BENDING_WITH_STRETCH if has_stretch else BENDING_BY_MASS) * distance(
+        'package.mass', 12)
     return np.asarray(np.hypot(std, np.diag(K * more)))
 
 

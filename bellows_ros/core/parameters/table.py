@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from bellows_ros.core.model import structure
+from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.errors import BellowsError, shown
 import numpy as np
 
@@ -105,17 +106,12 @@ _KIND_MESSAGES: Mapping[Kind, str] = {
     'double_array': 'a list of {}numbers', 'string_array': 'a list of strings'}
 
 
-def _diagonal(values: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(np.diag(values).ravel().tolist())
-
-
 FILE = Path(__file__).with_name('table.toml')
 
 _COMPUTED: Mapping[str, Mapping[str, Any]] = {
-    'cup.length': {'default': structure.THESIS_LENGTH},
-    'cup.stiffness': {'default': _diagonal(structure.THESIS_STIFFNESS)},
-    'cup.damping': {'default': _diagonal(structure.THESIS_DAMPING)},
-    'release.correlation': {'default': _diagonal((1.0,) * 6)},
+    **{term.parameter: {'default': term.default, 'unit': ', '.join(filter(None, term.units))}
+       for term in TERMS.values()},
+    'release.correlation': {'default': tuple(np.eye(6).ravel().tolist())},
     'fit.structure': {
         'choices': structure.STRUCTURE_NAMES,
         'description': 'Form of K and P: ' + '; '.join([
@@ -123,8 +119,8 @@ _COMPUTED: Mapping[str, Mapping[str, Any]] = {
             'axisymmetric',
             *(f'{s.name}: {s.meaning} ({s.size} + {s.size} unknowns)'
               for s in map(structure.structure_named, structure.STRUCTURE_NAMES[1:]))]) + '.'}}
-"""Fields of parameters that depend on the structures of K and P, by name; the file has the
-others."""
+"""Fields that follow from the terms of a cup and the structures of K and P, by parameter; the file
+has the others."""
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:

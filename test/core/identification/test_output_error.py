@@ -11,7 +11,7 @@ from bellows_ros.core.identification.estimate import (
     minimise,
     renewed,
 )
-from bellows_ros.core.identification.fitting import output_error
+from bellows_ros.core.identification.fitting import OFF, output_error
 from bellows_ros.core.identification.segments import Segment
 from bellows_ros.core.identification.unknowns import KINDS, Problem, weak_prior
 from bellows_ros.core.model.cup_package import Cup
@@ -335,10 +335,10 @@ def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness():
     soft = replace(TRUTH, relaxation=(0.15, 0.16))
     fit = output_error(
-        [measured(12, cup=soft)], AXISYMMETRIC, scaled(1.5), relaxation='auto')
-    off = np.abs(np.subtract(fit.relaxation, soft.relaxation))
-    assert np.all(off < 4.0 * np.array(fit.relaxation_std))
-    assert max(fit.relaxation_std) < 0.1
+        [measured(12, cup=soft)], AXISYMMETRIC, scaled(1.5), law={**OFF, 'relaxation': 'auto'})
+    off = np.abs(np.subtract(fit.law['relaxation'], soft.relaxation))
+    assert np.all(off < 4.0 * np.array(fit.law_std['relaxation']))
+    assert max(fit.law_std['relaxation']) < 0.1
     assert np.all(np.abs(z_of(fit)) < 4.0)
 
 
@@ -353,4 +353,4 @@ def test_rubber_without_whose_relaxation_the_search_goes_astray():
 def test_a_kelvin_voigt_cup_shows_no_relaxation():
     own = measured(13, package_noise=(1e-4, 5e-4), tool_hz=125.0)  # benchmarks.rubber has 40
     with pytest.raises(UndeterminedError, match='fit.relaxation'):
-        output_error([own], AXISYMMETRIC, TRUTH, relaxation='on')
+        output_error([own], AXISYMMETRIC, TRUTH, law={**OFF, 'relaxation': 'on'})
