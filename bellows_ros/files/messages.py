@@ -112,6 +112,11 @@ LAYOUTS: Mapping[str, Layout] = {
     INERTIA: Layout(1, 10),
     TRANSFORMS: Layout(2, 7, in_list=True)}
 
+POSE_TYPES: Mapping[str, str] = {
+    'pose': POSE, 'pose_with_covariance': POSE_WITH_COVARIANCE, 'transform': TRANSFORM,
+    'odometry': ODOMETRY}
+"""Message types of one pose each by the parameters tool_pose.type and measured.type."""
+
 MOTIONS = frozenset(name for name, layout in LAYOUTS.items() if layout.pose or layout.twist)
 """Types that hold a pose or a twist."""
 

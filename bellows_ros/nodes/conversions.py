@@ -5,15 +5,14 @@ Stamps are integer nanoseconds and survive a round trip unchanged. Frequent mess
 as bytes, which takes a third of the time of message objects.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
+import importlib.util
 import math
 from operator import attrgetter
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs import msg as geometry
-from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -21,13 +20,9 @@ from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import Prediction, uncertainty
 from ..core.observer.results import Payload
 from ..core.signals.trajectory import NS_PER_S
+from ..errors import BellowsError
 from ..files import messages
 from ..files.messages import Decoded, Decoder, NO_STAMP, pack
-
-TOOL_POSES: Mapping[str, type] = {
-    'pose': geometry.PoseStamped, 'transform': geometry.TransformStamped,
-    'pose_with_covariance': geometry.PoseWithCovarianceStamped, 'odometry': Odometry}
-"""Message types by the parameters tool_pose.type and measured.type; all begin with a pose."""
 
 MAX_NUMBER = 1e6
 """Bound of all numbers of poses, twists and wrenches: ten times a large one in mm, N or N mm."""
@@ -48,6 +43,17 @@ def stamp_to_ns(stamp: Time) -> int:
 def type_name(kind: type) -> str:
     """Return the ROS name of a message type, for example std_msgs/msg/Bool."""
     return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
+
+
+def message_class(name: str, setting: str, topic: str) -> type:
+    """Return the class of a ROS name; raise BellowsError if its package is not installed."""
+    package, _, kind = name.partition('/msg/')
+    if importlib.util.find_spec(package) is None:
+        raise BellowsError(
+            f'{setting}, but {package} is not installed. Install it (apt: '
+            f'ros-jazzy-{package.replace("_", "-")}), or publish the pose on {topic}.')
+    found: type = getattr(importlib.import_module(f'{package}.msg'), kind)
+    return found
 
 
 def reader(kind: type) -> Callable[[bytes], Decoded]:

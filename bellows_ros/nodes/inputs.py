@@ -8,13 +8,19 @@ the prediction.
 from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
-import importlib.util
 import math
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.files.messages import DETECTIONS, LAYOUTS, LIP_FRAME, REASONS, TRANSFORMS
+from bellows_ros.files.messages import (
+    DETECTIONS,
+    LAYOUTS,
+    LIP_FRAME,
+    POSE_TYPES,
+    REASONS,
+    TRANSFORMS,
+)
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -23,7 +29,7 @@ from sensor_msgs.msg import CameraInfo, FluidPressure
 from std_msgs.msg import Bool
 
 from . import conversions
-from .conversions import quaternion_xyzw, reader, stamp_to_ns, TOOL_POSES, type_name, vector
+from .conversions import message_class, quaternion_xyzw, reader, stamp_to_ns, type_name, vector
 from .guarding import GuardedNode, Once
 from .outputs import Predicting, QUEUE, Topic
 from ..core.findings import Finding, Level
@@ -36,6 +42,9 @@ from ..core.signals.trajectory import NS_PER_S, same_frame
 from ..core.signals.transforms import Chain
 from ..errors import BellowsError, shown
 from ..report import findings, health
+
+RAW = frozenset({*LAYOUTS, DETECTIONS} - {TRANSFORMS})
+"""Types of messages that callbacks receive as bytes."""
 
 
 class SensorInput:
@@ -50,7 +59,7 @@ class SensorInput:
     topic : str
         Relative name.
     callback : callable
-        Callback for each message; with its bytes if the type is one of `LAYOUTS`.
+        Callback for each message; with its bytes if the type is one of `RAW`.
     on_publishers : callable, optional
         Callback with the number of matching publishers when it changes.
     qos : QoSProfile, optional
@@ -78,7 +87,7 @@ class SensorInput:
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
             on_publishers=on_publishers,
-            raw=self._type in LAYOUTS.keys() - {TRANSFORMS} | {DETECTIONS})
+            raw=self._type in RAW)
         self.topic = str(self._subscription.topic_name)
 
     def note(self, stamp_ns: int | None = None) -> int:
@@ -120,17 +129,6 @@ class SensorInput:
             sorted({shown(other.node_name) for other in others})))
 
 
-def optional_type(name: str, setting: str, topic: str) -> type:
-    """Return a type of messages, or raise BellowsError if its package is not installed."""
-    package, _, kind = name.partition('/msg/')
-    if importlib.util.find_spec(package) is None:
-        raise BellowsError(
-            f'{setting}, but {package} is not installed. Install it (apt: '
-            f'ros-jazzy-{package.replace("_", "-")}), or publish the pose on {topic}.')
-    found: type = getattr(importlib.import_module(f'{package}.msg'), kind)
-    return found
-
-
 class TransformInput(SensorInput):
     """
     The poses of the tool by tf: the chain from `frames.world` to `frames.tool`.
@@ -154,7 +152,7 @@ class TransformInput(SensorInput):
         self, node: GuardedNode, values: Values, on_pose: Callable[..., None]
     ) -> None:
         """Subscribe to transforms, and to the static ones, which are sent once."""
-        kind = optional_type(TRANSFORMS, 'tool_pose.type is tf', 'tool_arm/pose')
+        kind = message_class(TRANSFORMS, 'tool_pose.type is tf', 'tool_arm/pose')
         self._on_pose = on_pose
         self._chain = Chain(values.frames.world, values.frames.tool)
         super().__init__(node, kind, '/tf', self._on_moving)
@@ -208,10 +206,10 @@ class Attachment:
             node.create_trigger(f'package/{service}', partial(
                 pipeline.publish, self._live.set_attached, held), words)
         self._refused = Counter[str]()
-        if self._kind != 'none':
-            self._signal = SensorInput(node, *{
-                'bool': (Bool, 'vacuum/held', self._on_held),
-                'pressure': (FluidPressure, 'vacuum/pressure', self._on_pressure)}[self._kind])
+        if self._kind == 'bool':
+            self._signal = SensorInput(node, Bool, 'vacuum/held', self._on_held)
+        elif self._kind == 'pressure':
+            self._signal = SensorInput(node, FluidPressure, 'vacuum/pressure', self._on_pressure)
 
     def _on_held(self, message: Bool) -> None:
         """Process a message of a vacuum switch."""
@@ -248,6 +246,29 @@ MAX_VIEWS = 1
 slower than arms."""
 
 
+class Source(NamedTuple):
+    """
+    The source of measured poses for a choice of measured.type.
+
+    Parameters
+    ----------
+    message : str
+        ROS name of the message type.
+    use : callable
+        Callback for each message.
+    topic : str
+        Relative name.
+    most : float
+        Largest number of messages used for each pose of the tool.
+
+    """
+
+    message: str
+    use: Callable[[Any], None]
+    topic: str = MEASURED
+    most: float = MAX_MEASURED
+
+
 class PackageInput:
     """
     Subscribers to measurements of the package, and the outputs of its observer.
@@ -263,27 +284,31 @@ class PackageInput:
         """Subscribe; nothing changes before the first message."""
         self._pipeline, self._live, node = pipeline, pipeline.live, pipeline.node
         given = self._live.values.measured
-        kind, self._child_frame = given.type, given.child_frame.lstrip('/')
-        self._with_covariance, self._published_ns = kind in ('pose_with_covariance', 'odometry'), 0
+        kind, self._child_frame, self._published_ns = given.type, given.child_frame.lstrip('/'), 0
         self._compiling, self._reported = Once(node, pipeline.compile_filter), 0
         self._tag, self._frame = TagCamera(), ''
         self._no_view, self._no_wrench = Counter[str](), Counter[str]()
-        topic, most, use = {
-            'tf': ('/tf', math.inf, self._on_transforms),
-            'detections': (MEASURED, MAX_VIEWS, self._on_detections),
-        }.get(kind, (MEASURED, MAX_MEASURED, self._on_measured))
-        self._type = TOOL_POSES.get(kind) or optional_type(
-            TRANSFORMS if kind == 'tf' else DETECTIONS, f'measured.type is {kind}', MEASURED)
-        self._measured_in = self._input(self._type, topic, most, self._no_view, use)
+        source = self._sources()[kind]
+        self._type = message_class(source.message, f'measured.type is {kind}', MEASURED)
+        self._measured_in = self._input(
+            self._type, source.topic, source.most, self._no_view, source.use)
+        if kind in POSE_TYPES:
+            self._read, self._has_covariance = reader(self._type), bool(
+                LAYOUTS[source.message].pose_covariance)
         if kind == 'detections':
             SensorInput(node, CameraInfo, 'package/camera_info', self._on_camera_info)
-        elif kind != 'tf':
-            self._read = reader(self._type)
         self._read_wrench = reader(WrenchStamped)
         self._wrench_in = self._input(
             WrenchStamped, 'tool_arm/wrench', MAX_WRENCHES, self._no_wrench, self._on_wrench)
         self._estimated = Topic(InertiaStamped, 'package/estimated').advertise(node)
         self._std = Topic(InertiaStamped, 'package/estimated_std').advertise(node)
+
+    def _sources(self) -> dict[str, Source]:
+        """Return the source of measured poses by measured.type."""
+        return {
+            **{name: Source(message, self._on_measured) for name, message in POSE_TYPES.items()},
+            'tf': Source(TRANSFORMS, self._on_transforms, '/tf', math.inf),
+            'detections': Source(DETECTIONS, self._on_detections, most=MAX_VIEWS)}
 
     @property
     def is_ready(self) -> bool:
@@ -319,7 +344,7 @@ class PackageInput:
     def _on_measured(self, data: bytes) -> None:
         """Correct the prediction by a measured pose."""
         stamp_ns, (frame_id, *_), numbers = self._read(data)
-        covariance = np.reshape(numbers[7:43], (6, 6)) if self._with_covariance else None
+        covariance = np.reshape(numbers[7:43], (6, 6)) if self._has_covariance else None
         self._correct(stamp_ns, frame_id, (numbers[:3], numbers[3:7]), covariance)
 
     def _on_wrench(self, data: bytes) -> None:

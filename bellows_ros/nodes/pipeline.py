@@ -14,13 +14,13 @@ from typing import Any
 
 from bellows_ros.core.parameters.conversion import gravity_of
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.files.messages import LAYOUTS
+from bellows_ros.files.messages import LAYOUTS, POSE_TYPES
 from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from std_msgs.msg import Bool
 
-from .conversions import reader, TOOL_POSES, type_name
+from .conversions import message_class, reader
 from .guarding import ManagedNode
 from .inputs import Attachment, PackageInput, SensorInput, TransformInput
 from .outputs import Outputs, Predicting
@@ -82,14 +82,17 @@ class Pipeline(Predicting):
         self.live = LivePredictor.from_parameters(node.values)
         self.outputs = Outputs(self)
         self._publish_secondary_guarded = node.guarded(self._publish_secondary)
+        self._twist_at: slice | None = None
         if values.tool_pose.type == 'tf':
             self.pose_in: SensorInput = TransformInput(node, values, self.process_pose)
         else:
-            kind = TOOL_POSES[values.tool_pose.type]
-            self._read_pose, self._twist_at = reader(kind), LAYOUTS[type_name(kind)].twist
+            name = POSE_TYPES[values.tool_pose.type]
+            kind = message_class(
+                name, f'tool_pose.type is {values.tool_pose.type}', 'tool_arm/pose')
+            self._read_pose, self._twist_at = reader(kind), LAYOUTS[name].twist
             self.pose_in = SensorInput(node, kind, 'tool_arm/pose', self._on_pose)
         self._read_twist, self._has_odometry_twists = reader(TwistStamped), False
-        self.twist_in = None if values.tool_pose.type == 'odometry' else SensorInput(
+        self.twist_in = None if self._twist_at else SensorInput(
             node, TwistStamped, 'tool_arm/twist', self._on_twist)
         self.attachment = Attachment(self)
         self.planning = Planning(self)

@@ -3,6 +3,7 @@
 import struct
 
 from bellows_ros.core.live.uncertainty import STILL
+from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.files import messages
 from bellows_ros.nodes import conversions
 from builtin_interfaces.msg import Time
@@ -25,6 +26,15 @@ SECONDS = st.integers(-(2**31), 2**31 - 1)
 NAMES = st.text(
     st.characters(blacklist_categories=['C', 'Z'], whitelist_characters=' '), max_size=40)
 DOUBLES = st.lists(st.floats(-1e5, 1e5), min_size=85, max_size=85)
+
+
+@pytest.mark.parametrize('name', ['tool_pose.type', 'measured.type'])
+def test_every_pose_type_is_declared_with_its_layout(name):
+    """Have a message with a pose for each choice but those with an input of their own."""
+    for choice in {*PARAMETERS[name].choices} - {'tf', 'detections'}:
+        kind = messages.POSE_TYPES[choice]
+        assert messages.LAYOUTS[kind].pose
+        assert conversions.message_class(kind, name, '') is KINDS[kind]
 
 
 def filled(message, numbers):

@@ -6,7 +6,8 @@ from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.equilibrium import moved_by
 from bellows_ros.core.parameters.conversion import package_of
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.nodes.conversions import TOOL_POSES
+from bellows_ros.files.messages import POSE_TYPES
+from bellows_ros.nodes.conversions import message_class
 from bellows_ros.nodes.inputs import MAX_MEASURED, MAX_WRENCHES
 from bellows_ros.report.health import Level
 from diagnostic_msgs.msg import DiagnosticArray
@@ -42,7 +43,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
         **PACKAGE, 'measured.type': kind, 'measured.noise': [1e-4, 1e-3],
         'payload.estimate': True,
         'recording.package_world': ' '.join(map(str, WORLD)) if apart else ''})
-    writer = partner.writes(TOOL_POSES[kind], 'package/measured')
+    writer = partner.writes(message_class(POSE_TYPES[kind], kind, ''), 'package/measured')
     payloads, stds = (partner.hears(InertiaStamped, f'package/estimated{end}')
                       for end in ('', '_std'))
     reports = partner.hears(DiagnosticArray, '/diagnostics')
@@ -55,7 +56,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     start_ns, swing = time.time_ns(), swinging()
 
     def see(stamp_ns, body):
-        message = stamped(TOOL_POSES[kind](), stamp_ns)
+        message = stamped(message_class(POSE_TYPES[kind], kind, '')(), stamp_ns)
         position, q_xyzw = body[:2]
         if apart:
             back = Rotation.from_quat(WORLD[3:]).inv()

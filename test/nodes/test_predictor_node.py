@@ -1,8 +1,9 @@
 """The predictor node over real DDS: what it publishes, and what bad input does to it."""
 
 
+from bellows_ros.files.messages import POSE_TYPES
 from bellows_ros.nodes import predictor_node
-from bellows_ros.nodes.conversions import quaternion_xyzw, TOOL_POSES, vector
+from bellows_ros.nodes.conversions import message_class, quaternion_xyzw, vector
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -48,8 +49,8 @@ def test_the_pose_may_come_in_each_type_that_drivers_send(kind, make_predictor, 
     """Predict the same from PoseStamped, with covariance, TransformStamped and Odometry."""
     make_predictor({**PACKAGE, 'tool_pose.type': kind})
     answers = peer.hears(PoseStamped, 'package/pose')
-    message = placed(
-        stamped(TOOL_POSES[kind](), START, 'base'), (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
+    empty = message_class(POSE_TYPES[kind], kind, '')()
+    message = placed(stamped(empty, START, 'base'), (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
     writer = peer.writes(type(message), 'tool_arm/pose')
     peer.connect()
     writer.publish(message)
