@@ -2,8 +2,7 @@
 The result of a fit as a JSON file, with its provenance.
 
 Numbers keep every digit. NaN and infinity, which JSON lacks, become null, which stands for an
-undetermined number. Counts, stamps in ns and rates in Hz have the unit in their keys; all other
-numbers of a fit have their units in `units` or `unit` of the same mapping.
+undetermined number. All numbers are in SI units, as docs/formats.md says.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,29 +16,11 @@ import os
 from pathlib import Path
 import platform
 import re
-import tomllib
 from typing import Any
 
-from bellows_ros.core.identification.result import POSE_UNITS, UNITS
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, File
 from bellows_ros.version import __version__
-
-UNIT_OF: Mapping[str, Any] = {
-    **{name: [[units[(row > 2) + (column > 2)] for column in range(6)] for row in range(6)]
-       for name, units in (('stiffness', UNITS['K']), ('damping', UNITS['P']),
-                           ('landing_covariance', ('m^2', 'm rad', 'rad^2')))},
-    **dict.fromkeys(
-        'rms largest motion noise_rms lip creep measured predicted deflection'.split(),
-        POSE_UNITS),
-    **{name: unit for unit, names in tomllib.loads(
-        Path(__file__).with_name('units.toml').read_text()).items() for name in names.split()},
-    **dict.fromkeys(('release_twist', 'landing_twist'), [*3 * ['m/s'], *3 * ['rad/s']]),
-    'release_pose': [*3 * ['m'], *4 * ['1']]}
-"""Units of numbers by their keys, and of their standard errors."""
-
-UNITLESS = ('settings', 'provenance', 'units')
-"""Mappings whose numbers have units in their names, or no units."""
 
 
 def write_json(path: File, content: Any) -> None:
@@ -69,34 +50,28 @@ def format_json(content: Any) -> str:
         r'\n *', ' ', row[0]).replace('[ ', '[').replace(' ]', ']'), text) + '\n'
 
 
-def plain(value: Any, units: bool = False) -> Any:
+def plain(value: Any) -> Any:
     """
     Return a result as plain JSON types.
 
     A result becomes its `as_json()`, any other dataclass or named tuple its fields; NumPy becomes
-    Python, NaN and infinity become None. With units, every mapping also has the units of its
-    numbers by `UNIT_OF`.
+    Python, NaN and infinity become None.
     """
     for name in ('as_json', '_asdict', 'tolist'):
         if hasattr(value, name):
-            return plain(getattr(value, name)(), units)
+            return plain(getattr(value, name)())
     if is_dataclass(value):
-        value = attributes(value, *(field.name for field in fields(value)))
+        return plain_items({field.name: getattr(value, field.name) for field in fields(value)})
     if isinstance(value, Mapping):
-        return with_units(value, units)
+        return plain_items(value)
     if isinstance(value, list | tuple):
-        return [plain(item, units) for item in value]
+        return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def with_units(content: Mapping[str, Any], add: bool = True) -> dict[str, Any]:
-    """Return a result as plain JSON types, and add the units of its numbers."""
-    items = {key: plain(item, add and key not in UNITLESS and UNIT_OF.get(key) != '1')
-             for key, item in content.items()}  # all numbers in a mapping of ratios are ratios
-    units = {key: UNIT_OF[name] for key, item in content.items() if add and item is not None
-             and (name := key.removesuffix('_std')) in UNIT_OF
-             and not (isinstance(items[key], dict) and 'units' in items[key])}
-    return {**items, 'units': {**units, **content.get('units', {})}} if units else items
+def plain_items(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping with its items as plain JSON types."""
+    return {key: plain(item) for key, item in content.items()}
 
 
 def attributes(result: object, *names: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Pages of an identification and of a replay: the text of the terminal, pictures, provenance."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from html import escape
 import io
@@ -38,21 +38,16 @@ def printed(show: Callable[[Writer], None]) -> str:
 
 def page_of(result: Identification | Replay, parameter_files: Sequence[File] = ()) -> str:
     """Return the page of a result, with pictures of free simulations, which loads nothing."""
-    parts, with_text, title = list[str](), [result], 'Replay of {}'
     origin = {**result.as_json()['provenance'], 'parameter_files': results.listed(parameter_files)}
-    replays: Iterable[Any] = [result]
     if isinstance(result, Identification):
-        parts.append(printed(partial(print_identification, result)))
-        title, replays, with_text = (
-            'Cup identified from {}', result.replays(), [*result.validations])
-        origin['recordings'] += results.listed([each.bag for each in result.validations])
-    for each in replays:
-        if each in with_text:
-            parts.append(printed(partial(print_replay, each)))
-        parts.append(plots.svg_of(plots.figure_of(each)))
-    names = result.bags if isinstance(result, Identification) else [result.bag]
-    return PAGE.format(title=escape(shown(title.format(', '.join(names)))), parts='\n'.join(
-        [*parts, _origin(origin, result.values)]))
+        title, replays = f'Cup identified from {", ".join(result.bags)}', result.replays()
+        text = printed(partial(print_identification, result))
+    else:
+        title, replays = f'Replay of {result.bag}', iter([result])
+        text = printed(partial(print_replay, result))
+    pictures = [plots.svg_of(plots.figure_of(each)) for each in replays]
+    return PAGE.format(title=escape(shown(title)), parts='\n'.join(
+        [text, *pictures, _origin(origin, result.values)]))
 
 
 def write_page(

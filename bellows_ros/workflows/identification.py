@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification.result import Fit, parameter_units
+from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.segments import ReducedRecording
 from bellows_ros.core.identification.unknowns import as_found, KINDS
 from bellows_ros.core.model import cup_package, validity_range
@@ -68,8 +68,6 @@ class Identification(CommandResult):
         The first of the used recordings, kept for later steps.
     static : StaticResult or None
         Result of the recordings of standstills, None without any.
-    validations : tuple of Replay
-        Recordings outside the fit, simulated with its cup.
     verdict : FitVerdict
         Quality of the cup and of the given quantities; empty without an unreduced recording.
     failed : tuple of Failed
@@ -84,7 +82,6 @@ class Identification(CommandResult):
     parts: tuple[ReducedRecording, ...]
     recordings: tuple[Recording, ...] = ()
     static: StaticResult | None = None
-    validations: tuple['Replay', ...] = ()
     verdict: FitVerdict = UNTESTED
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
@@ -102,7 +99,7 @@ class Identification(CommandResult):
     @cached_property
     def envelope(self) -> validity_range.Envelope:
         """The validity range of the fit."""
-        simulated = [each.validation.envelope for each in self._own_replays()
+        simulated = [each.validation.envelope for each in self.replays()
                      if each.recording.views]  # poses of a tag are too noisy
         moving = validity_range.joined_envelopes(
             simulated or [part.envelope for part in self.parts], self.values.vacuum.holding)
@@ -272,9 +269,7 @@ class Identification(CommandResult):
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the cup in addition to K and P."""
-        return (
-            *map(text_of, self.findings),
-            *(f'{each.bag}: {text_of(each.validation.verdict())}' for each in self.validations))
+        return tuple(map(text_of, self.findings))
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -282,10 +277,8 @@ class Identification(CommandResult):
         found = [*self.asked.items()]
         if self.static and (length := self.static.length):
             found.append(('cup.length', (length.length, length.total_std, 'm by loads alone')))
-        return (*offset_findings((
-            *zip(self.bags, self.delays, strict=False),
-            *((each.bag, each.recording.report.time_offset) for each in self.validations))),
-            *(estimate_finding(name, *each) for name, each in found))
+        return (*offset_findings(zip(self.bags, self.delays, strict=False)),
+                *(estimate_finding(name, *each) for name, each in found))
 
     @property
     def asked(self) -> Mapping[str, tuple[Any, Any, str]]:
@@ -316,7 +309,7 @@ class Identification(CommandResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings: about the input, the fit, the recordings, the validations."""
+        """Warnings: about the input, the fit, the recordings."""
         return (
             *(text_of(Finding('left_out', Level.WARN, {
                 'part': f"Recording '{bag}'", 'reason': reason}))
@@ -324,14 +317,13 @@ class Identification(CommandResult):
             *self.assumed,
             *self._fit_warnings(),
             *(self.static.warnings if self.static else ()),
-            *(text_of(own) for part in self.parts for own in part.remarks),
-            *(f'{each.bag}: {text}' for each in self.validations for text in each.warnings))
+            *(text_of(own) for part in self.parts for own in part.remarks))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         recordings: list[ReducedRecording | Recording] = [
             *self.parts, *(self.static.recordings if self.static else ())]
-        return results.with_units({
+        return results.plain_items({
             **fit_json(self.fit),
             'time_offsets': [offset.value for offset in self.delays],
             'time_offsets_std': [offset.std for offset in self.delays],
@@ -339,14 +331,13 @@ class Identification(CommandResult):
             'findings': [*map(entry, self.findings)],
             'cup_length': self.cup_length,
             'found_parameters': {
-                name: {'value': value, 'std': std, 'units': {'value': unit, 'std': unit}}
-                for name, (value, std, unit) in self.found.items()},
+                name: {'value': value, 'std': std}
+                for name, (value, std, _) in self.found.items()},
             'usable': self.succeeded,
             'refusals': self.refusals,
             'verdict': self.verdict,
             'recordings': [part.report for part in self.parts],
             'static': self.static,
-            'validations': self.validations,
             'envelope': self.envelope,
             'settings': dict(self.values),
             'provenance': {
@@ -360,11 +351,6 @@ class Identification(CommandResult):
         return next(self.replays())
 
     def replays(self) -> 'Iterator[Replay]':
-        """Yield free simulations of the validation recordings, then of those of the fit."""
-        yield from self.validations
-        yield from self._own_replays()
-
-    def _own_replays(self) -> 'Iterator[Replay]':
         """Yield free simulations of the recordings of the fit."""
         from bellows_ros.workflows.replay import validated
 
@@ -438,7 +424,6 @@ def save(
 
 def fit_json(fit: Fit) -> dict[str, Any]:
     """Return the JSON content on a fit."""
-    units = parameter_units(structure_named(fit.structure))
     exact = fit.exactly_given
     return {
         **results.attributes(
@@ -449,9 +434,6 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance,
-            'covariance_from_given': fit.from_given,
-            'units': dict.fromkeys(('covariance', 'covariance_from_given'), [
-                [f'{one} {other}' for other in units] for one in units])},
+            'covariance_from_given': fit.from_given},
         'with_standstills': fit.standstills and {
-            'standstills': fit.standstills[0], 'chi2': fit.standstills[1]},
-        'units': {'residual_rms': fit.residual_units}}
+            'standstills': fit.standstills[0], 'chi2': fit.standstills[1]}}

@@ -14,7 +14,7 @@ import importlib
 import logging
 from operator import itemgetter
 import os
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from bellows_ros.core import configure_process, usable_cores
 from bellows_ros.core.identification import fitting
@@ -36,9 +36,6 @@ from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult
 from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
-
-if TYPE_CHECKING:  # not needed by a plain identification
-    from bellows_ros.workflows.replay import Replay
 
 Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""
@@ -155,20 +152,11 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
            'one package alone.')
     yield ('length' in free and values.static.length,
            f'{names}static.length estimates the length from standstills. Use one of the two.')
-    bags, validation = values.bags, values.validation.bags
-    used = {os.path.realpath(bag) for bag in bags}
-    repeated = [bag for bag in validation if os.path.realpath(bag) in used]
-    missing = [name for name in checks.PACKAGE_PARAMETERS if name not in values]
-    yield (not bags, 'No recording is given: the parameter bags is empty. Name at least one '
-           'rosbag2 folder, or a .mcap or .db3 file.')
+    yield (not values.bags, 'No recording is given: the parameter bags is empty. Name at least '
+           'one rosbag2 folder, or a .mcap or .db3 file.')
     yield (values.static.length and not values.static.bags,
            'static.length is set, but static.bags is empty: the length comes from standstills '
            'with two or more masses. Name their recordings in static.bags.')
-    yield (repeated,
-           f"'{', '.join(repeated)}' is both in bags and in validation.bags, but validation needs "
-           'a recording that was not used in the fit. Remove it from one.')
-    yield (validation and missing, f'The package of validation.bags is unknown: set '
-           f'{", ".join(missing)} in addition to package.files.')
 
 
 def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
@@ -307,21 +295,8 @@ def _identify(
     if static:
         identified = replace(
             identified, static=static._replace(cup_length=identified.cup_length))
-    identified = replace(identified, validations=tuple(_validated(identified, progress)))
     progress('done', 1.0)
     return identified
-
-
-def _validated(
-    result: identification.Identification, progress: Progress
-) -> 'Iterator[Replay]':
-    """Yield the free simulations of the validation recordings, if the cup is usable."""
-    for bag in result.values.validation.bags if result.fit.usable else ():
-        progress(f'validating on {bag}', FIT_ENDS)
-        from bellows_ros.workflows.replay import replay
-
-        yield replay(
-            bag, {**result.cup_values(), **result.envelope.parameters(), **FULL_RANGE})
 
 
 # ------------------------------------ workers of a Dask cluster: of this machine, or at an address

@@ -199,7 +199,7 @@ class Info(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        return results.with_units({
+        return results.plain_items({
             **self._asdict(), 'findings': self.notes,
             'topics': [{**topic._asdict(), 'remarks': [*map(text, topic.remarks)]}
                        for topic in self.topics]})

@@ -178,7 +178,7 @@ class OfPlan(CommandResult):
 
     def as_json(self) -> dict[str, Any]:
         """Return what the JSON files of plans have in common; SI units, null for unknown."""
-        return results.with_units({
+        return results.plain_items({
             **self.numbers(), 'plan': self.source.path, 'frame_id': self.source.frame_id,
             'findings': [*map(entry, self.findings)], 'warnings': self.warnings})
 

@@ -40,7 +40,7 @@ def no_progress(what: str, part: float = 0.0) -> None:
 
 
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
-"""Settings for reading whole recordings: plans, standstills, validations."""
+"""Settings for reading whole recordings: plans and standstills."""
 
 MIN_POSES = 20
 """Smallest number of poses of each body for a search for their faults."""

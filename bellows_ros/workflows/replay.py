@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
-from bellows_ros.core.identification import result
 from bellows_ros.core.identification.validation import (
     corner_scores,
     CornerScores,
@@ -144,14 +143,12 @@ class Observed(NamedTuple):
             'alarms': [
                 {'time': seconds, **results.attributes(
                     alarm, 'kind', 'shift', 'rotation', 'parameter', 'value', 'std'),
-                 'message': text(alarm.finding),
-                 'units': {'shift': 'm', 'rotation': 'rad'}}
+                 'message': text(alarm.finding)}
                 for seconds, alarm in self.alarms],
             'payload': self.payload and results.attributes(
                 self.payload, 'mass', 'mass_std', 'com', 'com_std'),
             'corners': self.corners,
-            **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()},
-            'units': {f'rms {name}': result.POSE_UNITS for name in self.estimates}}
+            **{f'rms {name}': estimate.scores.rms for name, estimate in self.estimates.items()}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +212,7 @@ class Replay(CommandResult):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         validation = self.validation
-        return results.with_units({
+        return results.plain_items({
             'bag': self.bag,
             'axes': residuals.AXES,
             **vars(validation.scores),

@@ -66,14 +66,9 @@ class StaticResult(NamedTuple):
             for own in each.report.remarks))
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of a JSON file, in SI units."""
-        return results.with_units({
-            'estimated_length': self.length and {
-                **self.length._asdict(),
-                'units': {
-                    'stiffness': 'N/m', 'errors': 'm',
-                    'coefficients': ['m', 'm/N', 'm/N^2', 'm/N^3'][:len(self.length.coefficients)],
-                }},
+        """Return the content of a JSON file."""
+        return results.plain_items({
+            'estimated_length': self.length,
             'cup_length': self.cup_length,
             'recordings': [
                 {**recording.as_json(), 'unsettled': failed, 'standstills': [results.attributes(

@@ -332,10 +332,9 @@ class ReleaseResult(CommandResult):
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
         fit = self.fit
-        return results.with_units({
+        return results.plain_items({
             'law': dict(zip(RELEASE_NAMES, fit.law, strict=True)),
             'standard_errors': dict(zip(RELEASE_NAMES, fit.std, strict=True)),
-            'units': RELEASE_UNITS,
             'not_identifiable': [RELEASE_NAMES[k] for k in fit.not_identifiable],
             'scatter': fit.scatter,
             'chi2': fit.chi2,

@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification import fitting
 from bellows_ros.core.identification.estimate import MAX_NOISE_CHI2
 from bellows_ros.core.identification.fitting import HELD_OUT
-from bellows_ros.core.identification.result import Cause, Fit, MAJORITY, POSE_UNITS
+from bellows_ros.core.identification.result import Cause, Fit, MAJORITY
 from bellows_ros.core.identification.unknowns import as_found, given_std, payload_of
 from bellows_ros.core.identification.validation import corner_scores, MAX_NRMSE, validate
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
@@ -81,12 +81,6 @@ class Simulated(NamedTuple):
         error = self.rms if self.held_out is None else self.held_out
         within = error <= np.maximum(MAX_NOISE_RATIO * self.noise, MAX_NRMSE * self.motion)
         return [self.axes[i] for i in np.flatnonzero(~within)]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the content for a JSON file."""
-        units = POSE_UNITS if len(self.axes) > 1 else ('rad',)
-        return {**self._asdict(), 'units': dict.fromkeys(
-            ('rms', 'noise', 'motion', 'held_out'), units)}
 
 
 class FitVerdict(NamedTuple):

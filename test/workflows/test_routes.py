@@ -37,18 +37,14 @@ def content_of(result):
                       for name in ('diagonal', 'full'))])
 def test_every_route_gives_the_same_keys_and_the_same_numbers(settings, root, structure):
     asked = {**settings, 'fit.structure': structure,
-             'static.bags': [str(root / 'bags/static')],
-             'validation.bags': [str(root / 'bags/validation')]}
+             'static.bags': [str(root / 'bags/static')]}
     wanted = content_of(identify(asked))
     assert wanted['recordings'][0]['noise'] and wanted['envelope']
     assert wanted['static']['recordings'][0]['standstills']
     said = []
     for route in (identify(asked, lambda what, part: said.append(part), jobs=1),
                   identify(asked, jobs=2)):
-        found = content_of(route)
-        for each in (found, wanted):
-            each['validations'][0]['live']['real_time_factor'] = 0.0
-        assert found == wanted
+        assert content_of(route) == wanted
     assert said[0] == 0.0 and said[-1] == 1.0 and said == sorted(said)
 
 

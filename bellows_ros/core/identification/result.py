@@ -42,17 +42,6 @@ def not_identifiable(
 UNITS = {'K': TERMS['stiffness'].units, 'P': TERMS['damping'].units}
 """Units of entries of K and P: translation, coupling, rotation."""
 
-WRENCH_UNITS = ('N',) * 3 + ('N m',) * 3
-POSE_UNITS = ('m',) * 3 + ('rad',) * 3
-
-
-def parameter_units(structure: Structure) -> tuple[str, ...]:
-    """Return the units (2 n,) of a structure's parameters, in the order of its labels."""
-    return tuple(
-        UNITS[matrix][(row > 2) + (column > 2)]
-        for matrix in 'KP' for row, column in structure.leads)
-
-
 MAX_RELATIVE_ERROR = 0.5
 """Largest relative standard error of an identifiable parameter."""
 
@@ -242,11 +231,6 @@ class Fit:
     def labels(self) -> tuple[str, ...]:
         """Names (2 n,) of the parameters."""
         return structure_named(self.structure).labels
-
-    @property
-    def residual_units(self) -> tuple[str, ...]:
-        """Units (6,) of the residuals."""
-        return WRENCH_UNITS if self.method == 'least_squares' else POSE_UNITS
 
     @cached_property
     def _indefinite(self) -> tuple[findings.Finding, ...]:

@@ -102,9 +102,7 @@ class CornerScores(NamedTuple):
 
     def as_json(self) -> dict[str, object]:
         """Return the content for a JSON file."""
-        return {**self._asdict(), 'chi2': self.chi2, 'nrmse': self.nrmse,
-                'units': {'focal': 'pixel', **dict.fromkeys(
-                    ('rms', 'noise', 'motion', 'largest'), 'rad')}}
+        return {**self._asdict(), 'chi2': self.chi2, 'nrmse': self.nrmse}
 
 
 def corner_scores(recording: Recording, package: Trajectory) -> CornerScores | None:

@@ -91,9 +91,7 @@ class Envelope:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content for the result of a fit."""
-        units = ['m'] * 3 + ['rad'] * 3 + ['m/s'] * 3 + ['rad/s'] * 3 + ['kg', 'Pa']
-        return {'quantities': QUANTITIES, 'units': dict.fromkeys(('low', 'high'), units),
-                **vars(self)}
+        return {'quantities': QUANTITIES, **vars(self)}
 
 
 def joined_envelopes(parts: Sequence[Envelope], vacuum: float) -> Envelope:

@@ -359,12 +359,10 @@ class PackageWorld(NamedTuple):
     std: Array
 
     def as_json(self) -> dict[str, Any]:
-        """Return the report with its units, for a JSON file."""
+        """Return the report for a JSON file."""
         return {
             'position': self.pose[:3], 'quaternion_xyzw': self.pose[3:],
-            'position_std': self.std[:3], 'rotation_std': self.std[3:],
-            'units': {'position': 'm', 'quaternion_xyzw': '1', 'position_std': 'm',
-                      'rotation_std': 'rad'}}
+            'position_std': self.std[:3], 'rotation_std': self.std[3:]}
 
 
 class TimeOffset(NamedTuple):
@@ -372,10 +370,6 @@ class TimeOffset(NamedTuple):
 
     value: float
     std: float
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the value with its unit, for a JSON file."""
-        return {**self._asdict(), 'unit': 's'}
 
 
 @dataclass(frozen=True, eq=False)
@@ -662,10 +656,9 @@ class Recording:
             'samples': len(self.valid), 'valid': int(np.count_nonzero(self.valid)),
             'tool_pose': self.report.tool.as_json(), 'package_pose': self.report.package.as_json(),
             'time_offset': self.report.time_offset, 'package_world': self.report.package_world,
-            'package': {'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com,
-                        'units': {'mass': 'kg', 'inertia': 'kg m^2', 'com': 'm'}},
+            'package': {'mass': payload.mass, 'inertia': payload.inertia, 'com': payload.com},
             'noise': dict(zip(('tool', 'package'), self.noise, strict=True)),
-            'lateral_offset': {'value': self.alignment.lateral_offset, 'unit': 'm'},
+            'lateral_offset': self.alignment.lateral_offset,
             'findings': self.report.remarks}
 
 
