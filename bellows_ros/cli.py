@@ -218,8 +218,8 @@ def identify(arguments: Any, console: 'Console') -> Outcome:
     Identify a cup's stiffness K and damping P from recordings.
 
     The parameter file has the given quantities (the package, the cup's length, the topics), the
-    method, and optional inputs: standstills, recordings for validation. --release identifies,
-    with a given cup, the release from recordings of drops.
+    method, and optional recordings of standstills. --release identifies, with a given cup, the
+    release from recordings of drops.
 
     For example:
       bellows identify bags/identification --params bags/package.yaml --out cup.yaml
@@ -265,10 +265,13 @@ def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
     if not out:
         return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
     if not cell:
-        lost = ', '.join(name for name in result.asked if name != 'cup.length')
+        lost = [name for name in result.asked if name != 'cup.length']
         params = ''.join(f' --params {file}' for file in (*arguments.params, out))
-        return (*[f'Without --out-cell cell.yaml the estimates of {lost} are lost.'] * bool(lost),
-                check, f'  bellows replay BAG{params}')
+        steps = check, f'  bellows replay BAG{params}'
+        if not lost:
+            return steps
+        return (f'Without --out-cell cell.yaml the estimates of {", ".join(lost)} are lost.',
+                *steps)
     topics = result.remappings
     return (
         check, f'  bellows replay BAG --params {cell} --params {out} '

@@ -184,7 +184,7 @@ def _entry(parameter: Parameter, name: str, *texts: str) -> Iterator[str]:
     for row, text in enumerate(texts):
         unit = f'{AXES[row]}: {rows[row // 3]}' if rows and len(texts) > 1 else parameter.unit
         start = f'{name}: ' if len(texts) == 1 else f'{name}:\n{_INDENT}  ' if row == 0 else '  '
-        yield f'{_INDENT}{start}{text}' + f'  # {unit}' * bool(unit)
+        yield f'{_INDENT}{start}{text}' + (f'  # {unit}' if unit else '')
 
 
 def _texts(value: Value) -> list[str]:
@@ -209,5 +209,6 @@ def _scalar(value: object) -> str:
                              for c in value) + '"'
     if isinstance(value, float):
         digits, e, exponent = repr(value).partition('e')
-        return digits + '.0' * ('.' not in digits) + e + exponent
+        point = '' if '.' in digits else '.0'
+        return f'{digits}{point}{e}{exponent}'
     return str(value).lower()

@@ -54,7 +54,8 @@ def help_text(name: str) -> str:
                 (f'{p.name}  [{p.constraint}; {p.default_text}'
                  f'{"; cannot change while the node runs" if p.read_only else ""}]',
                  p.description) for p in parameters_for(name)])):
-        lines += [f'\n{title}'] * bool(entries)
+        if entries:
+            lines.append(f'\n{title}')
         for head, text in entries:
             lines += [_wrapped(head, '  ', '    '), _wrapped(text, '      ', '      ')]
     return '\n'.join(lines) + '\n'

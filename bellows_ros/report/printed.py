@@ -43,12 +43,8 @@ FIGURES = {
 def print_info(result: Info, out: Any, file: str = '') -> None:
     """Print the topics, their roles, the settings in the file of --write-params, and notes."""
     out.table(_topic_rows(result.topics), title=f'Recording {result.path}')
-    out.table([('topic', 'left out', 'outliers', 'longest gap', 'noise mm (x y z)', 'deg'), *(
-        (topic.name, ', '.join(f'{count} {reason}' for reason, count in topic.refused.items()),
-         f'{topic.outliers}', f'{MILLI * max((gap for _, gap in topic.gaps), default=0.0):.0f} ms',
-         *(' '.join(f'{factor * x:.3f}' for x in topic.noise.get(name, ()))
-           for name, factor in (('position', MILLI), ('rotation', math.degrees(1.0)))))
-        for topic in result.topics if topic.kind)])
+    head = ('topic', 'left out', 'outliers', 'longest gap', 'noise mm (x y z)', 'deg')
+    out.table([head, *(_quality_row(topic) for topic in result.topics if topic.kind)])
     for role in ('tool', 'package', 'twist'):
         guess = getattr(result, role)
         why = f': {"; ".join(guess.why)}' if guess and guess.why else ''
@@ -56,16 +52,34 @@ def print_info(result: Info, out: Any, file: str = '') -> None:
         out.paragraph(f'{role.capitalize():8} {name}{why}.')
     found = {name: list(value) if isinstance(value, tuple) else value
              for name, value in result.settings.items() if name != 'bags'}
-    settled, open_ones = ([each for each in result.findings if found.keys().isdisjoint(
-        sets(each)) == is_open] for is_open in (False, True))
-    for title, lines in (
-            (f'Set in {file}:' if file else 'Settings for --write-params:', [
-                *(f'{name}: {value or repr(value)}' for name, value in found.items()),
-                *(text_of(each._replace(level=Level.OK)) for each in settled)]),
-            ('To do:', [*map(text_of, open_ones)])):
+    chosen = [f'{name}: {value or repr(value)}' for name, value in found.items()]
+    to_do = list[str]()
+    for each in result.findings:
+        if found.keys().isdisjoint(sets(each)):
+            to_do.append(text_of(each))
+        else:
+            chosen.append(text_of(each._replace(level=Level.OK)))
+    _print_section(f'Set in {file}:' if file else 'Settings for --write-params:', chosen, out)
+    _print_section('To do:', to_do, out)
+
+
+def _print_section(title: str, lines: Sequence[str], out: Any) -> None:
+    """Print indented lines below a title; nothing without lines."""
+    if lines:
         out.line()
-        out.line(title * bool(lines))
+        out.line(title)
         out.paragraph(*(f'  {line}' for line in lines))
+
+
+def _quality_row(topic: TopicInfo) -> tuple[str, ...]:
+    """Return the row of a topic with poses: omitted messages, outliers, gaps and noise."""
+    def noise(name: str, factor: float) -> str:
+        return ' '.join(f'{factor * x:.3f}' for x in topic.noise.get(name, ()))
+
+    refused = ', '.join(f'{count} {reason}' for reason, count in topic.refused.items())
+    longest = max((gap for _, gap in topic.gaps), default=0.0)
+    return (topic.name, refused, f'{topic.outliers}', f'{MILLI * longest:.0f} ms',
+            noise('position', MILLI), noise('rotation', math.degrees(1.0)))
 
 
 def _topic_rows(topics: Sequence[TopicInfo]) -> list[tuple[str, ...]]:
@@ -74,18 +88,20 @@ def _topic_rows(topics: Sequence[TopicInfo]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ('topic', 'type', 'messages', 'rate', 'jitter', 'from', 'to', 'gaps')]
     for topic in topics:
-        begin = (topic.start_ns - first_ns) / NS_PER_S
-        rows.append((topic.name, topic.type_name.rpartition('/')[2], str(topic.messages), *(
-            (formatted(topic.rate_hz, '.1f', 'Hz', unknown=''),
-             formatted(topic.jitter_s, '.2f', 'ms', MILLI, ''), f'{begin:.2f} s',
-             f'{begin + topic.duration_s:.2f} s', f'{len(topic.gaps)}')
-            if topic.kind else 5 * ('',))))
+        begin, timing = (topic.start_ns - first_ns) / NS_PER_S, ('',) * 5
+        if topic.kind:
+            timing = (
+                formatted(topic.rate_hz, '.1f', 'Hz', unknown=''),
+                formatted(topic.jitter_s, '.2f', 'ms', MILLI, ''), f'{begin:.2f} s',
+                f'{begin + topic.duration_s:.2f} s', f'{len(topic.gaps)}')
+        rows.append((
+            topic.name, topic.type_name.rpartition('/')[2], str(topic.messages), *timing))
     return rows
 
 
 def cell_file(result: Info) -> str:
     """Return the text of a parameter file of a recording, with comments on what to fill in."""
-    unknown = UNKNOWN + ('measured.tag_size',) * result.is_tag
+    unknown = (*UNKNOWN, 'measured.tag_size') if result.is_tag else UNKNOWN
     return format_parameters(result.settings, [
         f'How to read {result.path}, as found by bellows info; check it.',
         *(text_of(each) for each in result.findings if each.code == 'freed')],
@@ -175,10 +191,13 @@ def print_toss(result: TossResult, out: Any) -> None:
     """Print release, landing, its uncertainty, and the largest contribution."""
     toss, case, aim = result.toss, result.case, result.aim
     std = np.sqrt(np.diag(result.covariance))
-    mode = 'its lip peels' if result.mode == 'peel' else (
-        'its suction is blown off' if case.release.law[3] else 'an assumed delay' if (
-            result.assumed) else 'after the delay')
     lost = result.scatter.failed
+    if result.mode == 'peel':
+        mode = 'its lip peels'
+    elif case.release.law[3]:
+        mode = 'its suction is blown off'
+    else:
+        mode = 'an assumed delay' if result.assumed else 'after the delay'
     out.table([
         ('valve', f'{case.switched:.4f} s', ''),
         ('lets go later by', quantity(toss.release_time - case.switched, 0.0, 'ms'),

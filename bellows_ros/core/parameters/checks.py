@@ -111,11 +111,11 @@ def resolve(values: Mapping[str, object], required: Iterable[str] = ()) -> Value
 def implausible(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a sentence for each allowed but unlikely value of the package or the cup."""
     moments = values['package.inertia'][:3]
-    is_flat = max(moments) > (1.0 + structure.INERTIA_ROUNDING) * (sum(moments) - max(moments))
-    return (
-        *structure.unit_doubts(values['package.mass'], moments, values['package.com']),
-        *(f'{structure.no_body(moments)} The nearest is used.',) * is_flat,
-        *structure.cup_doubts(structure.matrix(values['cup.stiffness']), values['cup.length']))
+    of_package = structure.unit_doubts(values['package.mass'], moments, values['package.com'])
+    if max(moments) > (1.0 + structure.INERTIA_ROUNDING) * (sum(moments) - max(moments)):
+        of_package = (*of_package, f'{structure.no_body(moments)} The nearest is used.')
+    return of_package + structure.cup_doubts(
+        structure.matrix(values['cup.stiffness']), values['cup.length'])
 
 
 def pose_text(pose: Array) -> str:
@@ -142,10 +142,10 @@ def convert(parameter: Parameter, value: object) -> Value:
     items: Any = value if is_list else [value]
     if parameter.length not in (0, len(items)):
         raise _refuse(parameter, f'{len(items)} of them')
-    one = _item if parameter.kind in ('bool', 'string', 'string_array') else _number
-    normal: Any = tuple(one(parameter, item, f' at index {i}' * is_list)
-                        for i, item in enumerate(items))
-    return normal if is_list else normal[0]  # type: ignore[no-any-return]
+    one: Any = _item if parameter.kind in ('bool', 'string', 'string_array') else _number
+    if not is_list:
+        return one(parameter, value, '')  # type: ignore[no-any-return]
+    return tuple(one(parameter, item, f' at index {i}') for i, item in enumerate(items))
 
 
 def _refuse(parameter: Parameter, got: str) -> BellowsError:
@@ -171,10 +171,10 @@ def _pose(parameter: Parameter, value: object, estimated: bool) -> object:
     length = float(np.linalg.norm(pose[3:]))
     if pose.shape != (7,) or not (np.abs(pose) < MAX_PLACE).all() or (
             abs(length - 1.0) > WRITTEN_UNIT_TOLERANCE):
+        or_estimate = f'or {ESTIMATE}, ' if estimated else ''
         raise BellowsError(
             f"{parameter.name} must be seven numbers 'x y z qx qy qz qw' with a quaternion of "
-            f"length 1, {f'or {ESTIMATE}, ' * estimated}or '', got {shown(value)}. "
-            f'{parameter.description}')
+            f"length 1, {or_estimate}or '', got {shown(value)}. {parameter.description}")
     return pose_text(np.append(pose[:3], pose[3:] / length))
 
 
@@ -216,8 +216,8 @@ def require(values: Mapping[str, object], required: Iterable[str]) -> None:
     """Raise for missing required parameters, in one message with an example."""
     missing = [table.lookup(name) for name in required if name not in values]
     if missing:
-        lines = [f'    {p.name}: {p.example}  # {p.unit}{". " * bool(p.unit)}{p.description}'
-                 for p in missing]
+        lines = [f'    {p.name}: {p.example}  # ' + (
+            f'{p.unit}. {p.description}' if p.unit else p.description) for p in missing]
         names = ', '.join(p.name for p in missing)
         raise NotSetError(
             f'Not set, and without a default: {names}. Set {"them" if missing[1:] else "it"}, or '

@@ -85,7 +85,9 @@ class Parameter:
         ends = (('above', self.above), ('at least', self.minimum), ('at most', self.maximum))
         limits = ' and '.join(f'{word} {end:g}' for word, end in ends if end is not None)
         kind = _KIND_MESSAGES[self.kind].format(f'{self.length} ' if self.length else '')
-        return kind + (f',{" each" * is_list} {limits}' if limits else '') + unit
+        if not limits:
+            return f'{kind}{unit}'
+        return f'{kind}, each {limits}{unit}' if is_list else f'{kind}, {limits}{unit}'
 
     @property
     def default_text(self) -> str:
