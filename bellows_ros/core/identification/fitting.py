@@ -601,7 +601,9 @@ def fitted(
     structure, sums = given_structure(values), pairs.pool.results(itemgetter(1), pairs)
     if values.fit.method == 'least_squares':
         return least_squares(sums)
-    start = one_cup_of(values).with_terms(NO_LAW)
+    law = {name: 'off' if structure.places and not term.is_additive else values[f'fit.{name}']
+           for name, term in LAW.items() if f'fit.{name}' in values}
+    start = one_cup_of(values).with_terms({name: NO_LAW[name] for name in law})
     parts = [reduced(recording, values.cup.length) for recording in recordings]
     if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
         start = start_cup(sums, start)
@@ -610,8 +612,7 @@ def fitted(
     return output_error(
         pairs.pool.keep(itemgetter(0), pairs), structure, start,
         partial(_report, progress, count(1)) if progress else no_report, weak_prior(named), named,
-        {name: 'off' if structure.places and not term.is_additive else values[f'fit.{name}']
-         for name, term in LAW.items()}, {} if exactly else given_std(values),
+        law, {} if exactly else given_std(values),
         richest_structure(values) if values.fit.structure == AUTO else None,
         MARKERS if values.recording.marker == 'shared' else (), standstills)
 
