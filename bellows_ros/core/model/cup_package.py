@@ -291,7 +291,7 @@ def gripper_of(one: Cup, places: Array | Sequence[Sequence[float]]) -> Cup:
     if not len(places) or structure.is_single(np.asarray(places)):
         return one
     for term in LAW.values():
-        numbers, zeros = list(getattr(one, term.name)), list(np.zeros(len(term.symbols)))
+        numbers, zeros = list(getattr(one, term.name)), [0.0] * len(term.symbols)
         if any(numbers) and not term.is_additive:
             raise BellowsError(
                 f'{term.parameter} is {numbers}, but cup.layout has {len(places)} cups; expected '

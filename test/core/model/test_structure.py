@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry.lie import exp_so3, transform
-from bellows_ros.core.model.cup_package import model_with
+from bellows_ros.core.model.cup_package import Cup, LAW, model_with, TERMS
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import cup_wrench
 from bellows_ros.core.model.structure import (
@@ -80,6 +80,19 @@ def test_a_centre_of_stiffness_in_the_middle_is_no_coupling(shift, expected):
 FOUR = (0.06, 0.04, 0.0, 0.06, -0.04, 0.0, -0.06, 0.04, 0.0, -0.06, -0.04, 0.01)
 PACKAGE = {'package.mass': 2.0, 'package.com': [0.0, 0.0, -0.03],
            'package.inertia': [0.01, 0.01, 0.01, 0.0, 0.0, 0.0]}
+
+
+def test_the_terms_of_a_cup_replace_all_terms_of_the_cup_before():
+    """Set a whole cup over a gripper of relaxing cups, and read every term again."""
+    law = {name: (0.3,) * len(term.symbols) for name, term in LAW.items()}
+    before = {'cup.layout': FOUR, 'cup.relaxation': (0.2, 0.1)}
+    for cup in (random_cup(np.random.default_rng(0)), Cup.thesis().with_terms(law)):
+        found = conversion.cup_of(resolve({**PACKAGE, **before, **cup.parameters()}))
+        for name in TERMS.keys() - {'layout'}:
+            assert_allclose(getattr(found, name), getattr(cup, name), rtol=0.0)
+    words = r'stretch is \[0.3, 0.3\].* expected \[0.0, 0.0\] with'
+    with pytest.raises(BellowsError, match=words):
+        conversion.cup_of(resolve({**PACKAGE, **cup.parameters(), 'cup.layout': FOUR}))
 
 
 def case(seed, count, relaxes=False):
