@@ -200,7 +200,7 @@ def test_only_the_holds_of_a_recording_of_work_are_fitted(root, tmp_path, method
     given = {**read_parameters(root / 'bags' / 'package.yaml'), 'fit.method': method,
              'bags': [str(tmp_path / 'work')], 'vacuum.signal': 'bool'}
     fit = identify(given).fit
-    parts = load(tmp_path / 'work', resolve(given), held=True).segments
+    parts = load(tmp_path / 'work', resolve(given), held=True).segments()
     assert len(parts) == 2 and all(
         held(np.array([part.first_ns, part.last_ns])).all() for part in parts)
     renamed = resolve({**given, 'topics.vacuum': 'gripper/grasped'})

@@ -3,8 +3,8 @@ Search for K and P with which the model, driven by the tool, reproduces all pose
 
 The first stage follows the measured path of the tool, with trust regions about the unknowns. In
 the second stage the steps are Gauss-Newton steps, and the path of the tool and the noise of slow
-poses are renewed with each: along the likeliest path the mean of the steps is zero at the truth,
-unlike the gradient of chi² along the measured one.
+poses are renewed with each: with derivatives along the likeliest path the mean of the steps is
+zero at the truth, unlike the gradient of chi² along the measured one.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -64,6 +64,9 @@ standard errors by the colour of the residuals, which the misfit of rubber has."
 
 MAX_SMALL_RISE = 1.001
 """Ratio of two Huber's sums in the first stage that are equal, as priors may raise it a little."""
+
+MAX_STOPS = 5
+"""Largest number of times that unknowns are stopped at the largest step, and the others follow."""
 
 SHORTER = 0.25
 """Fraction of a step that is tried if chi² increases with the whole step."""
@@ -303,7 +306,8 @@ def _near(at: Solution, report: Report) -> tuple[Solution, bool]:
     for _ in range(MAX_STEPS[0]):
         if not at.is_finite or at.chi2 < MISFIT_CHI2:
             break
-        step = _damped_step(at, at.information.damped(damping), at.slope, used)
+        information, slope = _tempered(at)
+        step = damped_step(at, information.damped(damping), slope, used)
         length = _squared_length(at, step, at.information)
         if damping > DAMPING and length < TOLERANCES[1]:
             break
@@ -318,6 +322,20 @@ def _near(at: Solution, report: Report) -> tuple[Solution, bool]:
         if is_last:
             break
     return at, is_last
+
+
+def _tempered(at: Solution) -> tuple[Arrow, Array]:
+    """
+    Return information and slope of a misfit that counts as noise.
+
+    The deviations of a remote start are `Solution.chi2` times the noise, so that priors of given
+    quantities weigh as much more. Otherwise length, centre of mass and marker leave their given
+    values together for any small gain, and do not return.
+    """
+    problem = at.problem
+    heavier = max(at.chi2 - 1.0, 0.0) * problem.weights
+    return (at.information.raised(heavier),
+            at.slope + heavier * (problem.start - at.theta))
 
 
 def settled(start: Solution, report: Report = no_report) -> Solution:
@@ -338,7 +356,7 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         if not at.is_finite or number >= MAX_STEPS[1] // 2 and at.robust_chi2 > MISFIT_CHI2:
             break
         courses, is_kept = renewed(at)
-        step = _damped_step(at, at.information.damped(damping), at.slope, used)
+        step = damped_step(at, at.information.damped(damping), at.slope, used)
         length = _squared_length(at, step, at.information)
         if is_kept and damping <= DAMPING and length < least:
             best, least = at, length
@@ -400,18 +418,27 @@ def _moved(at: Solution, step: Array, courses: Held) -> Solution | None:
     return None
 
 
-def _damped_step(at: Solution, information: Arrow, slope: Array, used: Mask) -> Array:
-    """Return the step of the used unknowns (m,), with nonnegative strengths of relaxation."""
-    problem, used = at.problem, used.copy()
-    for _ in range(3):  # each strength may be stopped by the step as well
-        step = information.within(used).solve(np.where(used, slope, 0.0))
-        is_none = problem.extended('relaxation', at.theta) <= MIN_STRENGTH
-        stopped = [place[is_none & (step[place] < 0.0)]
-                   for place in problem.places.get('relaxation', ())]
-        if not np.size(stopped):
+def damped_step(at: Solution, information: Arrow, slope: Array, used: Mask) -> Array:
+    """
+    Return the step of the used unknowns (m,) within the largest steps.
+
+    Strengths of relaxation stay nonnegative. Other unknowns follow those that stop at a limit.
+    """
+    problem, used, limit = at.problem, used.copy(), at.problem.max_step
+    is_none = problem.extended('relaxation', at.theta) <= MIN_STRENGTH
+    fixed = np.zeros(len(slope))
+    for _ in range(MAX_STOPS):
+        rest = np.where(used, slope - information.times(fixed), 0.0)
+        step = np.where(used, information.within(used).solve(rest), fixed)
+        stops = used & (np.abs(step) > limit)
+        fixed[stops] = (np.sign(step) * limit)[stops]
+        for place in problem.places.get('relaxation', ()):
+            stops[place] |= used[place] & is_none & (step[place] < 0.0)
+            fixed[place] = np.where(is_none, np.maximum(fixed[place], 0.0), fixed[place])
+        if not stops.any():
             break
-        used[np.ravel(stopped)] = False
-    return step
+        used[stops] = False
+    return np.clip(step, -limit, limit)
 
 
 def _squared_length(at: Solution, step: Array, H: Arrow) -> float:

@@ -38,7 +38,7 @@ from bellows_ros.core.identification.least_squares import (
     Statistics,
     statistics,
 )
-from bellows_ros.core.identification.residuals import at_rest, by_noise
+from bellows_ros.core.identification.residuals import at_rest
 from bellows_ros.core.identification.result import (
     CHANCE,
     FALSE_ALARMS,
@@ -52,7 +52,6 @@ from bellows_ros.core.identification.result import (
 )
 from bellows_ros.core.identification.segments import (
     AnyRecording,
-    Course,
     Held,
     here,
     reduced,
@@ -287,17 +286,10 @@ def covariance_of(found: Solution) -> tuple[Array, Array]:
     """
     Return the covariance (s, s) of the shared numbers, and variances (m,) of all, SI units.
 
-    The covariance is from a jackknife over seconds, at least that of the noise, by the information
-    of motion alone.
+    The covariance is from a jackknife over seconds, at least that of the noise.
     """
     problem, H = found.problem, found.information
     directions = np.linalg.inv(np.linalg.cholesky(H.reduced)).T
-    of_motion = replace(H, shared=H.shared.copy(), coupling=H.coupling.copy(), own=H.own.copy())
-    for number, noise in enumerate(found.parts.pool.results(
-            partial(_by_noise, problem.local),
-            [found.theta[problem.index(k)] for k in range(len(problem.outlines))],
-            problem.held, found.courses)):
-        of_motion.add(number, -noise)
     counts, squares = zip(*found.parts.pool.results(
         _influences, list(map(H.block, range(len(problem.outlines)))),
         [np.vstack([directions, -carried @ directions]) for carried in H.carried],
@@ -307,23 +299,12 @@ def covariance_of(found: Solution) -> tuple[Array, Array]:
         scatter = scatter * count / (count - 1)
         scatter = (COMMON_WEIGHT * np.median(scatter) + count * scatter) / (COMMON_WEIGHT + count)
     scatter = np.maximum(1.0, scatter if count > 1 else 1.0)
-    known, axes = np.linalg.eigh(directions.T @ of_motion.reduced @ directions)
-    directions = directions @ (  # tenfold errors if noise decides
-        axes / np.where(known > 1.0 - MAJORITY, known, 0.1)) @ axes.T
     covariance = (directions * scatter) @ directions.T
     variances = H.variances_with(covariance, float(np.median(scatter))) * problem.units**2
     slopes = problem.slopes(found.theta)
     covariance = np.asarray(slopes @ covariance @ slopes.T)
     variances[:len(covariance)] = np.diag(covariance)
     return covariance, variances
-
-
-def _by_noise(
-    problem: Problem, theta: Array, segments: Segments, courses: Sequence[Course]
-) -> Array:
-    """Return the part (q, q) of a recording's information that is due to noise."""
-    return sum((by_noise(problem, theta, *each) for each in zip(segments, courses, strict=True)
-                if problem.is_rough or not each[0].views), np.zeros((len(theta), len(theta))))
 
 
 def _seconds(parts: Parts) -> tuple[Array, Array]:

@@ -2,20 +2,24 @@
 Whitened differences between measured and simulated poses of the package.
 
 The package is simulated along the path of the tool, from rest or a first state near it, which is
-free within wide limits and eliminated. Derivatives are differences of simulations. Differences of
-a tracked body are whitened in the frequency domain; those of a tag are its corners'
-coordinates, with independent errors.
+free within wide limits and eliminated. A sensor gives six numbers in each bin of time: the
+differences of a tracked body's pose, or the residuals of a tag's corners, relative to their noise.
 
-Noise n of the tool's poses moves the simulated package by G n, so that differences have the
-spectrum C(f) = R + G Q G^H, with spectra R of the package's poses and Q of the tool's. G follows
-from small motions d of the package,
+Noise n of the tool's poses moves the simulated package by G n, and the numbers of its sensor by
+M G n with their mean derivative M by the pose, so that they have the spectrum
+C(f) = R + M G Q G^H M^H, with spectra R of the sensor's noise and Q of the tool's, by which they
+are whitened. G follows from small motions d of the package,
 
     d'' = A_p d + A_v d' + B_p S0 n + B_v (S0 n)',
 
 with the response S0 of the filter of the tool's path. Its slopes follow S1, but the cubic curves
-between the rows of a path have the slopes of its poses on average. With
-exact poses of the tool, this is output error; with noisy ones, the sum of squares is the minimum
-over all paths of the tool (total least squares).
+between the rows of a path have the slopes of its poses on average. With exact poses of the tool,
+this is output error; with noisy ones, the sum of squares is the minimum over all paths of the tool
+(total least squares).
+
+Derivatives are differences of simulations along the likeliest path, without the frequencies at
+which it is noise (instrumental variables): derivatives with the noise that also is in the numbers
+would have a mean product with them, and bias the damping.
 """
 
 from dataclasses import replace
@@ -28,6 +32,7 @@ from bellows_ros.core.identification.segments import (
     Course,
     in_threads,
     MIN_POSE_STD,
+    noise_spectrum,
     ROW_NS,
     Segment,
 )
@@ -43,7 +48,6 @@ from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.equilibrium import linearise
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.recording.recording import BodyNoise
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import Seen
@@ -53,24 +57,17 @@ from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 
 
-def noise_spectrum(noise: BodyNoise, period: float, frequency: Array) -> Array:
-    """Return spectra (F, 6) of noise of poses, m^2/Hz and rad^2/Hz, at frequencies (F,)."""
-    memory = noise.correlation
-    turn = np.abs(1.0 - memory * np.exp(-2j * np.pi * period * frequency)[:, None]) ** 2
-    return np.asarray(period * noise.std**2 * (1.0 - memory**2) / turn)
-
-
 class Filters(NamedTuple):
     """
-    Filters of differences at F frequencies of a padded series.
+    Filters of a sensor's numbers at F frequencies of a padded series.
 
-    Response G (F, 6, 6) of the package to noise of the tool, responses (2, F) of the path and its
+    Response (F, 6, 6) of the numbers to noise of the tool, responses (2, F) of the path and its
     slope to that noise, filter (F, 6, 6) to white noise of variance 1, and filter (F, 6, 6) from
     white noise to the likeliest noise of the tool, m and rad; variances (6,) by the tool, and sum
     of the logarithms of all variances of a series.
     """
 
-    package: Array
+    response: Array
     path: Array
     whitening: Array
     likeliest: Array
@@ -81,15 +78,18 @@ class Filters(NamedTuple):
     def of(cls, problem: Problem, theta: Array, segment: Segment, course: Course) -> 'Filters':
         """Return the filters of a segment about its first rest; theta is local."""
         period, (padded, frequency) = segment.bin_ns / NS_PER_S, _frequencies(segment)
-        G, path = _responses(problem, theta, segment, course, frequency)
-        of_package, of_tool = (noise_spectrum(noise, step, frequency) / period for noise, step in (
-            (segment.package_noise._replace(std=course.std), segment.period),
-            (segment.tool_noise, segment.tool_period)))
-        by_tool = (G * of_tool[:, None]) @ _adjoint(G)
-        root = np.linalg.inv(np.linalg.cholesky(by_tool + of_package[:, :, None] * np.eye(6)))
+        of_package, path = _responses(problem, theta, segment, course, frequency)
+        response = course.by_pose @ of_package
+        of_tool = noise_spectrum(segment.tool_noise, segment.tool_period, frequency) / period
+        of_sensor = np.ones((len(frequency), 6))  # of white views
+        if not problem.has_views(segment):
+            of_sensor = noise_spectrum(segment.package_noise._replace(
+                std=course.std), segment.period, frequency) / period
+        by_tool = (response * of_tool[:, None]) @ _adjoint(response)
+        root = np.linalg.inv(np.linalg.cholesky(by_tool + of_sensor[:, :, None] * np.eye(6)))
         logs = -4.0 * float(np.sum(np.log(np.abs(np.einsum('fii->fi', root)))))
         return cls(
-            G, path, root, -of_tool[:, :, None] * _adjoint(G) @ _adjoint(root),
+            response, path, root, -of_tool[:, :, None] * _adjoint(response) @ _adjoint(root),
             np.mean(np.einsum('fii->fi', by_tool).real, axis=0), logs / padded)
 
 
@@ -98,24 +98,6 @@ def _frequencies(segment: Segment) -> tuple[int, Array]:
     period = segment.bin_ns / NS_PER_S
     padded = 2 * ((len(segment.bins_ns) + round(BLOCK_DURATION / period) + 1) // 2)
     return padded, np.asarray(np.fft.rfftfreq(padded, period), np.float64)
-
-
-def by_noise(problem: Problem, theta: Array, segment: Segment, course: Course) -> Array:
-    """
-    Return the part (q, q) of the information that is due to noise of the tool; theta is local.
-
-    The likeliest path keeps noise of the spectrum Q - Q G^H C^-1 G Q, which shakes the simulated
-    package by the derivatives of G.
-    """
-    filters, frequency = Filters.of(problem, theta, segment, course), _frequencies(segment)[1]
-    kept = noise_spectrum(segment.tool_noise, segment.tool_period, frequency)[:, :, None] * np.eye(
-        6) * (NS_PER_S / segment.bin_ns) - filters.likeliest @ _adjoint(filters.likeliest)
-    slopes = [filters.whitening @ (_responses(
-        problem, theta + step, segment, course, frequency)[0] - filters.package) / DIFFERENCE
-              for step in DIFFERENCE * np.eye(len(theta))]
-    shaken = [slope @ kept for slope in slopes]
-    return len(segment.bins_ns) / len(frequency) * np.real(np.reshape(
-        shaken, (len(theta), -1)) @ np.conj(np.reshape(slopes, (len(theta), -1))).T)
 
 
 def _responses(
@@ -256,10 +238,10 @@ def _spans(problem: Problem, segment: Segment) -> list[tuple[slice, float]]:
 
 
 def simulated(
-    problem: Problem, theta: Array, segment: Segment, course: Course, start: Array, steps: int
+    problem: Problem, theta: Array, segment: Segment, tool: Array, start: Array, steps: int
 ) -> Array:
-    """Return the package's states (M, 13) at the rows; theta is local."""
-    tool, out, state = course.rows, np.empty((len(course.rows), 13)), None
+    """Return the package's states (M, 13) at the rows of the tool (M, 13); theta is local."""
+    out, state = np.empty((len(tool), 13)), None
     if 'tool_marker' in problem.rows:
         marker = problem.values(theta)['tool_marker']
         tool = simulation.tool_rows(body.of_fixed_frame(
@@ -287,7 +269,8 @@ def simulation_of(
     """
     Return the package's states (M, 13) at the rows, and derivatives (M, 6, q + 12) of its poses.
 
-    They are in body axes, by the unknowns and the first state.
+    The derivatives are in body axes, by the unknowns and the first state, along a smooth path:
+    the response to noise of the tool would agree with the same noise in the differences.
     """
     steps = int(equilibrium.substeps_for(
         ROW_NS / NS_PER_S, model_step(problem, theta, segment)))
@@ -302,19 +285,21 @@ def simulation_of(
         DIFFERENCE * START_STD])
     changes[np.arange(len(places)), places] = lengths
 
-    def run(change: Array) -> Array:
-        return simulated(problem, theta + change[:size], segment, course,
+    def run(tool: Array, change: Array) -> Array:
+        return simulated(problem, theta + change[:size], segment, tool,
                          course.start + change[size:], steps)
 
-    base, *others = in_threads(run, [np.zeros(size + 12), *changes])
-    columns = np.zeros((len(base), 6, size + 12))
-    inverse = np.swapaxes(lie.quaternion_to_rotation(base[:, 3:7]), 1, 2)
-    conjugate = lie.quaternion_conjugate(base[:, 3:7])
+    unchanged, smooth_tool = np.zeros(size + 12), segment.smooth(course.rows)
+    states, smooth, *others = in_threads(
+        run, [course.rows, *[smooth_tool] * (1 + len(changes))], [unchanged, unchanged, *changes])
+    columns = np.zeros((len(smooth), 6, size + 12))
+    inverse = np.swapaxes(lie.quaternion_to_rotation(smooth[:, 3:7]), 1, 2)
+    conjugate = lie.quaternion_conjugate(smooth[:, 3:7])
     for place, length, other in zip(places, lengths, others, strict=True):
-        columns[:, :3, place] = lie.apply(inverse, other[:, :3] - base[:, :3]) / length
+        columns[:, :3, place] = lie.apply(inverse, other[:, :3] - smooth[:, :3]) / length
         turn = lie.quaternion_product(conjugate, other[:, 3:7])
         columns[:, 3:, place] = 2.0 * turn[:, :3] * np.sign(turn[:, 3:]) / length
-    return base, columns
+    return states, columns
 
 
 SENSED = frozenset({
@@ -348,14 +333,13 @@ def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) 
     stamps = stamps[chosen]
     package = resample(simulation.trajectory_of(segment.rows_ns, states), stamps)
     bend = at_stamps(segment.rows_ns, _accelerations(states), stamps)
-    if segment.views is not None and not problem.is_rough:
-        seen: Seen = segment.views.select(chosen).seen(
-            np.hstack([simulation.tool_rows(package), bend]), course.corners,
-            problem.values(theta), problem.rows, problem.units, segment.context)
-        J = seen.maps @ at_stamps(segment.rows_ns, columns, stamps)
-        return _part_of_views(seen, J, segment, course)
-    e, own = _differences(problem, theta, segment, chosen, package, bend)
     starts = np.flatnonzero(np.diff(place[chosen], prepend=-1))
+    bins = place[chosen][starts]
+    if problem.has_views(segment):
+        seen = _seen(problem, theta, segment, course, chosen, package, bend)
+        J = at_stamps(segment.rows_ns, columns, stamps)
+        return _part(problem, theta, segment, *_whitened_views(seen, J, course, starts), bins)
+    e, own = _differences(problem, theta, segment, chosen, package, bend)
     counts = np.diff(starts, append=len(chosen))
 
     def means(values: Array) -> Array:
@@ -364,7 +348,61 @@ def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) 
     J = at_stamps(segment.rows_ns, columns, stamps[0] + np.rint(
         means(stamps - stamps[0])).astype(np.int64))
     J[:, :, :len(theta)] += means(own)
-    return _part_of_poses(problem, theta, segment, course, means(e), J, place[chosen][starts])
+    return _part(problem, theta, segment, course, Numbers(
+        means(e), J, means(e), 0.0, np.empty(0)), bins)
+
+
+class Numbers(NamedTuple):
+    """
+    The numbers of a sensor in K bins.
+
+    Values (K, 6) with their derivatives (K, 6, q + 12) by the unknowns and the first state;
+    residuals (K, 6), m and rad; sum of the logarithms of the variances to which the values are
+    relative; smears (K,) of views, rad.
+    """
+
+    values: Array
+    derivatives: Array
+    residuals: Array
+    logs: float
+    smear: Array
+
+
+def _seen(
+    problem: Problem, theta: Array, segment: Segment, course: Course, chosen: Places,
+    package: Trajectory, bend: Array,
+) -> Seen:
+    """Return chosen views of a tag about the simulated package."""
+    assert segment.views is not None
+    return segment.views.select(chosen).seen(
+        np.hstack([simulation.tool_rows(package), bend]), course.corners, problem.values(theta),
+        problem.rows, problem.units, segment.context)
+
+
+def _whitened_views(
+    seen: Seen, J: Array, course: Course, starts: Places
+) -> tuple[Course, Numbers]:
+    """
+    Return the views in bins that begin at given views, relative to the noise of their corners.
+
+    J (N, 6, q + 12) are derivatives of the package's poses. The course has the mean derivative of
+    the numbers by the pose: the noise of the tool is much smaller than the package's swing, so
+    that its effect on a view is nearly that on the mean view.
+    """
+    derivatives = seen.maps @ J
+    derivatives[:, :, :seen.columns.shape[2]] += seen.columns
+    positive = np.sign(np.einsum('nii->ni', seen.maps))  # as the triangular maps are then unique
+    relative = positive / np.sqrt(seen.variance)[:, None]
+    root = np.sqrt(np.diff(starts, append=len(relative)))
+
+    def binned(values: Array) -> Array:
+        return (np.add.reduceat(values, starts, axis=0).T / root).T
+
+    by_pose = np.mean(binned(seen.maps * relative[:, :, None]), axis=0)
+    return course._replace(by_pose=by_pose), Numbers(
+        binned(seen.residuals * relative), binned(derivatives * relative[:, :, None]),
+        seen.scale * binned(seen.residuals) / root[:, None],
+        6.0 * float(np.sum(np.log(seen.variance))), binned(seen.smear) / root)
 
 
 def _differences(
@@ -397,32 +435,37 @@ def _spread(values: Array, known: Places, count: int) -> Array:
         before + 1, len(known) - 1)])
 
 
-def _part_of_poses(
-    problem: Problem, theta: Array, segment: Segment, course: Course, e: Array, J: Array,
+def _part(
+    problem: Problem, theta: Array, segment: Segment, course: Course, numbers: Numbers,
     known: Places,
 ) -> Part:
-    """Return differences (K, 6) at known bins (K,), whitened in the frequency domain."""
+    """Return the numbers of a sensor at known bins (K,), whitened in the frequency domain."""
     count, filters = len(segment.bins_ns), Filters.of(problem, theta, segment, course)
-    values = _spread(e, known, count) - filtered(
-        filters.package, course.noise[..., None])[..., 0]
+    values = _spread(numbers.values, known, count) - filtered(
+        filters.response, course.noise[..., None])[..., 0]
     white = filtered(filters.whitening, np.concatenate([
-        values[..., None], _spread(J, known, count)], axis=2))[known]
-    innovations, J, slope, start, weight = _weighted(white[..., 0], white[..., 1:], course.start)
+        values[..., None], _spread(numbers.derivatives, known, count)], axis=2))[known]
+    found = _weighted(white[..., 0], white[..., 1:], course.start)
     explaining = np.zeros((count, 6))
-    explaining[known] = weight * slope
+    explaining[known] = found.weights * found.explained
     likeliest = course.noise + PATH_PART * (
         filtered(filters.likeliest, explaining[..., None])[..., 0] - course.noise)
     on_rows = [at_stamps(segment.bins_ns, filtered(
         -path[:, None, None] * np.eye(6), likeliest[..., None])[..., 0], segment.rows_ns)
         for path in filters.path]
-    squares = values[known] ** 2
-    total = np.mean(np.minimum(
-        squares, CHANCE**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
-    std = np.sqrt(np.maximum(total - filters.of_tool, 0.1 * total))
+    std = course.std
+    if not problem.has_views(segment):
+        squares = values[known] ** 2
+        total = np.mean(np.minimum(
+            squares, CHANCE**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
+        std = np.maximum(
+            np.sqrt(np.maximum(total - filters.of_tool, 0.1 * total)), MIN_POSE_STD)
     return Part(
-        innovations, e, filters.logs * len(known),
-        course._replace(rows=segment.moved(np.hstack(on_rows)), noise=likeliest, start=start),
-        np.maximum(std, MIN_POSE_STD), *_blocks(J, slope, segment.bin_ns / NS_PER_S), np.empty(0))
+        found.innovations, numbers.residuals, numbers.logs + filters.logs * len(known),
+        course._replace(
+            rows=segment.moved(np.hstack(on_rows)), noise=likeliest, start=found.start),
+        std, *_blocks(found.derivatives, found.explained, segment.bin_ns / NS_PER_S),
+        numbers.smear)
 
 
 def _accelerations(rows: Array) -> Array:
@@ -432,37 +475,35 @@ def _accelerations(rows: Array) -> Array:
     return rates
 
 
-def _part_of_views(seen: Seen, J: Array, segment: Segment, course: Course) -> Part:
-    """Return the whitened differences of a tag by the derivatives (N, 6, q + 12) of poses."""
-    J[:, :, :seen.columns.shape[2]] += seen.columns
-    scale = 1.0 / np.sqrt(seen.variance)
-    innovations, J, slope, start, _ = _weighted(
-        seen.residuals * scale[:, None], J * scale[:, None, None], course.start)
-    return Part(
-        innovations, seen.scale * seen.residuals, 6.0 * float(np.sum(np.log(seen.variance))),
-        course._replace(start=start), course.std, *_blocks(J, slope, segment.period), seen.smear)
-
-
-def _weighted(
-    white: Array, J: Array, start: Array
-) -> tuple[Array, Array, Array, Array, Array]:
+class Weighted(NamedTuple):
     """
-    Return innovations (N, 6) weighted by Huber, without the effect of the first state.
+    Innovations (N, 6) weighted by Huber, without the effect of the first state.
 
-    Further results are the derivatives (N, 6, q), the innovations (N, 6) that they explain, the
-    likeliest change of the first state, and the weights (N, 6).
+    Further fields are the derivatives (N, 6, q), the innovations (N, 6) that they explain, the
+    likeliest change (12,) of the first state, and the weights (N, 6).
     """
+
+    innovations: Array
+    derivatives: Array
+    explained: Array
+    start: Array
+    weights: Array
+
+
+def _weighted(white: Array, J: Array, start: Array) -> Weighted:
+    """Return weighted innovations; J (N, 6, q + 12) includes derivatives by the first state."""
     with np.errstate(divide='ignore', invalid='ignore'):
-        weight = np.sqrt(np.minimum(1.0, CHANCE / np.abs(white)))
-    white, J = white * weight, J * weight[..., None]
+        weights = np.sqrt(np.minimum(1.0, CHANCE / np.abs(white)))
+    white, J = white * weights, J * weights[..., None]
     size = J.shape[2] - 12
     first, rest = J[..., size:].reshape(-1, 12), J[..., :size].reshape(-1, size)
     prior = START_STD**-2
     inverse = np.linalg.inv(first.T @ first + np.diag(prior))
     change = inverse @ (first.T @ white.ravel() - prior * start)
     carried = inverse @ (first.T @ rest)
-    return (white, (rest - first @ carried).reshape(*white.shape, size),
-            white - (first @ change).reshape(white.shape), start + change, weight)
+    return Weighted(
+        white, (rest - first @ carried).reshape(*white.shape, size),
+        white - (first @ change).reshape(white.shape), start + change, weights)
 
 
 def _blocks(J: Array, r: Array, period: float) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+import math
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.recording import (
     BodyNoise,
+    LONGEST_GAP,
     LOW_RATE_HZ,
     MIN_SEGMENT,
     PackageWorld,
@@ -36,7 +38,8 @@ from bellows_ros.core.recording.recording import (
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import CornerNoise, TagViews, USUAL_NOISE
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.savgol import bridged, savgol
+from bellows_ros.core.signals.residuals import spectrum
+from bellows_ros.core.signals.savgol import bridged, longest_bridge, savgol, weights
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory, uniform_rate_hz
 from bellows_ros.errors import UndeterminedError
 import numpy as np
@@ -47,6 +50,26 @@ HALF_WINDOW = 1 / 12
 
 PATH_ORDER = 6
 """Order of the polynomials of the tool's path."""
+
+MIN_SIGNAL = 3.0
+"""Smallest ratio of spectral densities of the tool's twist and of its noise that is motion: six
+axes of noise alone over one second exceed it in 1 of 3000."""
+
+TRANSITION = 1.5
+"""Ratio of the frequency from which on all motion is noise, and of the highest one of motion."""
+
+MAX_LOSS = 0.01
+"""Largest share of the tool's motion that its path may lose, at the end of its band, where the
+motion is hardly more than noise."""
+
+MAX_END = 0.05
+"""Largest share of a segment that its path lacks at each end, where no window is whole."""
+
+
+def path_half_window(tool: Trajectory) -> int:
+    """Return the half window of the tool's path, in samples."""
+    return max(round(HALF_WINDOW * uniform_rate_hz(tool.stamps_ns)), PATH_ORDER // 2 + 1)
+
 
 ROW_NS = 10_000_000
 """Time between rows of the tool's path, ns: cubic curves between them follow motion below 10
@@ -72,6 +95,8 @@ class Course(NamedTuple):
         Noise of the package's poses, m and rad.
     corners : CornerNoise
         Noise of the corners of a tag.
+    by_pose : ndarray (6, 6)
+        Mean derivative of a sensor's numbers by the pose of the package; one for a body.
 
     """
 
@@ -80,6 +105,7 @@ class Course(NamedTuple):
     start: Array
     std: Array
     corners: CornerNoise = USUAL_NOISE
+    by_pose: Array = np.eye(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +153,41 @@ class Segment:
     rejected: int = 0
 
     @cached_property
+    def _poses(self) -> Trajectory:
+        """Poses of the tool with gaps bridged."""
+        return bridged(self.tool, path_half_window(self.tool), PATH_ORDER)
+
+    @cached_property
+    def band(self) -> float:
+        """Highest frequency at which the twist of the tool is not noise, Hz."""
+        rate = 1.0 / self.tool_period
+        motion = savgol(self._poses, path_half_window(self.tool), PATH_ORDER)
+        assert motion.twist is not None
+        found = spectrum(motion.twist, rate)
+        noise = 2.0 * np.abs(_response(motion.weights[1], rate, found.frequency)[:, None]) ** 2 * (
+            noise_spectrum(self.tool_noise, self.tool_period, found.frequency))
+        noise = np.maximum(noise, noise.mean(axis=0))  # as a filter has zeros
+        is_motion = np.mean(found.density / noise, axis=1) > MIN_SIGNAL
+        return float(found.frequency[is_motion].max(initial=found.frequency[1]))
+
+    @cached_property
+    def _half_window(self) -> int:
+        """Half window of the longest filter that preserves the motion of the tool, in samples."""
+        usual = path_half_window(self.tool)
+        longest, count = max(round(MAX_END * len(self._poses)), usual), usual
+        while count <= longest and self._loss(count, self.band) < MAX_LOSS:
+            count = math.ceil(1.1 * count)
+        return max(math.floor(count / 1.1), usual)
+
+    def _loss(self, half_window: int, frequency: float) -> float:
+        """Return the share of an oscillation that a path of the tool loses."""
+        rate = 1.0 / self.tool_period
+        kernel = weights(half_window, PATH_ORDER, rate, True)[0]
+        return float(np.abs(1.0 - _response(kernel, rate, np.array([frequency]))[0]))
+
+    @cached_property
     def _path(self) -> tuple[Stamps, Array, Array]:
-        tool = bridged(self.tool)
-        rate = uniform_rate_hz(tool.stamps_ns)
-        path = savgol(tool, max(round(HALF_WINDOW * rate), PATH_ORDER // 2 + 1), PATH_ORDER)
+        path = savgol(self._poses, self._half_window, PATH_ORDER, is_tapered=True)
         first, last = path.stamps_ns[[0, -1]].tolist()
         rows_ns = np.arange(max(first, int(self.package.stamps_ns[0]) - ROW_NS), last + 1, ROW_NS)
         return rows_ns, simulation.tool_rows(resample(path, rows_ns)), path.weights
@@ -205,21 +262,79 @@ class Segment:
                       self.package_noise.std, self.views.tag.noise if self.views else USUAL_NOISE)
 
     def moved(self, shift: Array) -> Array:
-        """
-        Return rows of the tool after a change (M, 12) of its path.
+        """Return rows of the tool after a change (M, 12) of its path, see `_moved`."""
+        return _moved(self.rows, shift)
 
-        The change is of pose and twist in body axes, m, rad, m/s and rad/s.
+    def smooth(self, rows: Array) -> Array:
         """
-        rows, (d, phi, dv, dw) = self.rows, np.split(shift, 4, axis=1)
-        v, w = rows[:, 7:10], rows[:, 10:]
+        Return states (M, 13) of the tool without motion above its band, which is noise.
+
+        Such motion is that of the distance travelled in body axes, and that of the twist. It
+        stays at the ends of the path.
+        """
         R = lie.quaternion_to_rotation(rows[:, 3:7])
-        return np.hstack([
-            rows[:, :3] + lie.apply(R, d), lie.rotation_to_quaternion(R @ lie.exp_so3(phi)),
-            v + dv + np.cross(w, d) + np.cross(v, phi), w + dw + np.cross(w, phi)])
+        back = np.swapaxes(R[:-1], 1, 2)
+        steps = np.hstack([
+            lie.apply(back, np.diff(rows[:, :3], axis=0)), lie.log_so3(back @ R[1:])])
+        travelled = np.vstack([np.zeros(6), np.cumsum(steps, axis=0)])
+        period = ROW_NS / NS_PER_S
+        count = np.arange(len(rows))
+        to_end = period * self.band * np.minimum(count, count[::-1])
+        noise = _above(self.band, np.hstack([travelled, rows[:, 7:]]), period)
+        return _moved(rows, -noise * np.minimum(to_end, 1.0)[:, None])
+
+
+def _moved(rows: Array, shift: Array) -> Array:
+    """
+    Return states (M, 13) of the tool after a change (M, 12) of its path.
+
+    The change is of pose and twist in body axes, m, rad, m/s and rad/s.
+    """
+    d, phi, dv, dw = np.split(shift, 4, axis=1)
+    v, w = rows[:, 7:10], rows[:, 10:]
+    R = lie.quaternion_to_rotation(rows[:, 3:7])
+    return np.hstack([
+        rows[:, :3] + lie.apply(R, d), lie.rotation_to_quaternion(R @ lie.exp_so3(phi)),
+        v + dv + np.cross(w, d) + np.cross(v, phi), w + dw + np.cross(w, phi)])
+
+
+def _above(limit: float, values: Array, period: float) -> Array:
+    """
+    Return the part of values (M, C), one a period (s), above a frequency (Hz).
+
+    The values are continued by odd reflections; the part is whole from `TRANSITION` times the
+    frequency on.
+    """
+    first, last = values[:1], values[-1:]
+    continued = np.vstack([2.0 * first - values[:0:-1], values, 2.0 * last - values[-2::-1]])
+    frequency = np.fft.rfftfreq(len(continued), period)
+    share = np.clip((frequency / limit - 1.0) / (TRANSITION - 1.0), 0.0, 1.0)
+    spectra = np.sin(0.5 * np.pi * share)[:, None] ** 2 * np.fft.rfft(continued, axis=0)
+    above = np.fft.irfft(spectra, len(continued), axis=0)
+    return np.asarray(above[len(values) - 1:2 * len(values) - 1])
+
+
+def _response(kernel: Array, rate: float, frequency: Array) -> Array:
+    """Return the response (F,) of weights (2n+1,) of poses at a rate (Hz)."""
+    lags = np.arange(len(kernel)) - len(kernel) // 2
+    return np.asarray(kernel @ np.exp(2j * np.pi / rate * np.outer(lags, frequency)))
+
+
+def noise_spectrum(noise: BodyNoise, period: float, frequency: Array) -> Array:
+    """Return spectra (F, 6) of noise of poses, m^2/Hz and rad^2/Hz, at frequencies (F,)."""
+    memory = noise.correlation
+    turn = np.abs(1.0 - memory * np.exp(-2j * np.pi * period * frequency)[:, None]) ** 2
+    return np.asarray(period * noise.std**2 * (1.0 - memory**2) / turn)
 
 
 Segments = tuple[Segment, ...]
 """Those of one recording."""
+
+
+def _longest_gap(tool: Trajectory) -> float:
+    """Return the longest time between poses of the tool (s) that its path bridges."""
+    missing = longest_bridge(path_half_window(tool), PATH_ORDER)
+    return min((missing + 1.5) / uniform_rate_hz(tool.stamps_ns), LONGEST_GAP)
 
 
 def segments_of(recording: Recording, number: int = 0) -> Segments:
@@ -235,7 +350,8 @@ def segments_of(recording: Recording, number: int = 0) -> Segments:
     tool, package = recording.aligned_tool, recording.tracked_package
     of_tool, of_package = (noise._replace(std=np.maximum(noise.std, MIN_POSE_STD))
                            for noise in recording.body_noise)
-    spans, views, parts = recording.segments, recording.views, []
+    views, parts = recording.views, []
+    spans = recording.segments(_longest_gap(tool))
     for first, last, _ in spans:
         poses, seen = (each.select((each.stamps_ns >= first) & (each.stamps_ns <= last))
                        for each in (tool, package))

@@ -298,6 +298,10 @@ class Problem:
         """Whether the noise of some poses is estimated together with K and P."""
         return any(outline.is_slow for outline in self.outlines)
 
+    def has_views(self, segment: Segment) -> bool:
+        """Return whether a segment's sensor is a tag's corners, which count as poses at first."""
+        return segment.views is not None and not self.is_rough
+
     def freed(self, theta: Array, more: Free, structure: Structure | None = None) -> 'Problem':
         """Return the problem from the cup of unknowns, with more free quantities."""
         return replace(self, structure=structure or self.structure, guess=self.cup(theta),
@@ -373,6 +377,12 @@ class Problem:
         """Largest standard errors (m,) of identifiable unknowns."""
         return self._of_all(np.full(self.count, MAX_RELATIVE_ERROR), lambda name: (
             np.divide(KINDS[name].max_std, KINDS[name].unit)))
+
+    @cached_property
+    def max_step(self) -> Array:
+        """Largest steps (m,): of logarithms, and three deviations of given quantities."""
+        return self._of_all(np.full(self.count, MAX_LOG_STEP), lambda name: (
+            CHANCE * np.divide(self.free[name], KINDS[name].unit)))
 
     @cached_property
     def scales(self) -> tuple[Array, Array]:

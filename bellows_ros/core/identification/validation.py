@@ -16,6 +16,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.least_squares import envelope
 from bellows_ros.core.identification.result import CHANCE
+from bellows_ros.core.identification.segments import path_half_window, PATH_ORDER
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import (
@@ -283,7 +284,7 @@ def validate(cup: Cup, recording: Recording) -> Validation:
 
 def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
     """Return the tool's poses in the segments of a recording; all poses for one segment."""
-    spans = [span for span in recording.segments if span.first_ns < poses.stamps_ns[-1]]
+    spans = [span for span in recording.segments() if span.first_ns < poses.stamps_ns[-1]]
     valid = poses.stamps_ns[poses.valid][1:-1]  # outer stamps may exceed a span
     if len(spans) == 1 and not np.any(
             (valid < spans[0].first_ns) | (valid > spans[0].last_ns)):
@@ -345,7 +346,8 @@ def smoothed_tool(measured: Trajectory, half_window: int) -> Trajectory:
         If there are fewer poses than a window.
 
     """
-    filtered = savgol(bridged(measured), half_window, LIGHT_ORDER)
+    filtered = savgol(
+        bridged(measured, path_half_window(measured), PATH_ORDER), half_window, LIGHT_ORDER)
     usable = np.flatnonzero(filtered.valid)
     if len(usable) < 2:
         raise BellowsError(

@@ -403,6 +403,9 @@ class Report:
 MIN_SEGMENT = 1.0
 """Shortest segment, s."""
 
+LONGEST_GAP = 0.15
+"""Longest gap of the tool that a prediction bridges, s: 1 mm in a motion of 10 mm at 3 Hz."""
+
 
 class Span(NamedTuple):
     """First and last stamp (ns) of a segment, and its range of common stamps."""
@@ -547,18 +550,16 @@ class Recording:
         """Mask (N,) of the valid unfiltered samples of both bodies."""
         return self.measured_tool.valid & self.measured_package.valid
 
-    @cached_property
-    def segments(self) -> tuple[Span, ...]:
+    def segments(self, longest_gap: float = LONGEST_GAP) -> tuple[Span, ...]:
         """
-        Segments between gaps of the tool that cannot be bridged, each with its own initial state.
+        Return the segments between gaps of the tool above a length (s), each with its own start.
 
         In a gap of the package alone its motion follows from the tool's. Segments without a pose
         of the package are omitted.
         """
         stamps, common = self.aligned_tool.stamps_ns, self.measured_tool.stamps_ns
         stamps = stamps[self.aligned_tool.valid & (stamps >= common[0]) & (stamps <= common[-1])]
-        # 1 mm in a motion of 10 mm at 3 Hz
-        cuts = np.flatnonzero(np.diff(stamps) > 0.15 * trajectory.NS_PER_S)
+        cuts = np.flatnonzero(np.diff(stamps) > longest_gap * trajectory.NS_PER_S)
         spans = [Span(first, last, slice(*np.searchsorted(common, [first, last + 1]).tolist()))
                  for first, last in zip(stamps[np.append(0, cuts + 1)].tolist(),
                                         stamps[np.append(cuts, -1)].tolist(), strict=True)]

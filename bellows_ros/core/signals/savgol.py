@@ -11,7 +11,6 @@ from math import pi
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
-from bellows_ros.core.signals.resampling import filled
 from bellows_ros.errors import BellowsError, require_types
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +28,9 @@ MAX_ROTATION = 0.75 * pi
 BLOCK = 4096
 
 
-def weights(half_window: int, order: int, rate_hz: float) -> Array:
+def weights(
+    half_window: int, order: int, rate_hz: float, is_tapered: bool = False
+) -> Array:
     """
     Return the weights of a Savitzky-Golay fit at the centre of its window (4.19-4.20).
 
@@ -41,6 +42,9 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
         Order of the polynomial, from 2 to 2n.
     rate_hz : float
         Samples per second, above zero.
+    is_tapered : bool
+        Whether errors count less towards the ends of the window, by a squared cosine: the fit then
+        passes hardly any noise above its band.
 
     Returns
     -------
@@ -64,8 +68,11 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     # Time in half windows keeps the powers within -1..1, so the least-squares problem is well
     # conditioned.
     time = np.arange(-half_window, half_window + 1) / half_window
-    basis, r_factor = np.linalg.qr(np.vander(time, order + 1, increasing=True))
-    coefficients = np.linalg.solve(r_factor, basis.T)[:3]
+    root = np.ones(len(time))
+    if is_tapered:
+        root = np.cos(0.5 * pi * time * half_window / (half_window + 1))
+    basis, r_factor = np.linalg.qr(root[:, None] * np.vander(time, order + 1, increasing=True))
+    coefficients = np.linalg.solve(r_factor, basis.T * root)[:3]
     scale = rate_hz / half_window
     fitted = coefficients * np.array([[1.0], [scale], [2.0 * scale**2]])
     # Exactly even, odd and even in time, without rounding errors.
@@ -73,7 +80,9 @@ def weights(half_window: int, order: int, rate_hz: float) -> Array:
     return np.asarray(0.5 * (fitted + parity * fitted[:, ::-1]))
 
 
-def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
+def savgol(
+    trajectory: Trajectory, half_window: int, order: int, is_tapered: bool = False
+) -> Filtered:
     """
     Filter the poses of a trajectory and estimate its twists and accelerations.
 
@@ -94,6 +103,8 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         Samples n on each side of the centre.
     order : int
         Order of the polynomials, from 2 to 2n.
+    is_tapered : bool
+        Whether errors count less towards the ends of the window, see `weights`.
 
     Returns
     -------
@@ -123,7 +134,7 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
 
     """
     require_types(trajectory=(trajectory, Trajectory))
-    W = weights_for(trajectory, half_window, order)
+    W = weights_for(trajectory, half_window, order, is_tapered)
     count = len(trajectory) - 2 * half_window
     position, rotation = np.empty((count, 3)), np.empty((count, 3, 3))
     twist, acceleration = np.empty((count, 6)), np.empty((count, 6))
@@ -140,13 +151,15 @@ def savgol(trajectory: Trajectory, half_window: int, order: int) -> Filtered:
         trusted & whole_windows(trajectory, half_window), weights=frozen(W))
 
 
-def weights_for(trajectory: Trajectory, half_window: int, order: int) -> Array:
+def weights_for(
+    trajectory: Trajectory, half_window: int, order: int, is_tapered: bool = False
+) -> Array:
     """Return the weights of a filter for a trajectory; raise like `savgol`."""
     if len(trajectory) < 2 * half_window + 1:
         raise BellowsError(
             f'A filter with half window {half_window} needs at least {2 * half_window + 1} '
             f'samples, got {len(trajectory)}. Use a smaller half window or a longer recording.')
-    return weights(half_window, order, uniform_rate_hz(trajectory.stamps_ns))
+    return weights(half_window, order, uniform_rate_hz(trajectory.stamps_ns), is_tapered)
 
 
 def whole_windows(trajectory: Trajectory, half_window: int) -> Mask:
@@ -246,15 +259,45 @@ def with_filtered_noise(
         motion.stamps_ns, motion.position + o, R, np.hstack([v, w]), valid=motion.valid)
 
 
-def bridged(poses: Trajectory) -> Trajectory:
-    """Return poses with gaps bridged by cubics that meet poses and twists on both sides."""
-    if poses.valid.all():
-        return poses
-    quartic = savgol(poses, 2, 4)  # exact for five poses
-    valid = quartic.select(quartic.valid)
-    if not len(valid):
-        return poses
-    return filled(poses, valid)
+def bridged(poses: Trajectory, half_window: int, order: int) -> Trajectory:
+    """
+    Return poses whose missing samples are those of polynomials through the poses beside each gap.
+
+    A polynomial is fitted to all valid poses within a half window of its gap; a gap with too few
+    of them stays invalid.
+    """
+    position, rotation, valid = poses.position.copy(), poses.rotation.copy(), poses.valid.copy()
+    known = np.flatnonzero(poses.valid)
+    for first, last in zip(known[:-1], known[1:], strict=True):
+        beside = np.arange(max(first - half_window + 1, 0), min(last + half_window, len(poses)))
+        used = beside[poses.valid[beside]]
+        if last - first == 1 or len(used) <= order:
+            continue
+        gap, middle = np.arange(first + 1, last), 0.5 * (first + last)
+        design, wanted = (np.vander((at - middle) / half_window, order + 1) for at in (used, gap))
+        turns = lie.log_so3(poses.rotation[used] @ poses.rotation[first].T)
+        values = wanted @ np.linalg.lstsq(
+            design, np.hstack([poses.position[used], turns]), rcond=None)[0]
+        position[gap] = values[:, :3]
+        rotation[gap] = lie.exp_so3(values[:, 3:]) @ poses.rotation[first]
+        valid[gap] = True
+    return Trajectory(poses.stamps_ns, position, rotation, valid=valid)
+
+
+def longest_bridge(half_window: int, order: int) -> int:
+    """
+    Return the largest number of missing samples whose bridge is as certain as a measured pose.
+
+    Beyond it the variance of a polynomial in the gap exceeds the variance of a pose.
+    """
+    for count in range(1, 4 * half_window):
+        at = np.arange(-half_window, count + half_window)
+        in_gap = (at >= 0) & (at < count)
+        powers = np.vander((at - 0.5 * (count - 1)) / half_window, order + 1)
+        bridge = powers[in_gap] @ np.linalg.pinv(powers[~in_gap])
+        if np.sum(bridge**2, axis=1).max() > 1.0:
+            return count - 1
+    return count
 
 
 def correlated(white: Array, ar1: float) -> Array:

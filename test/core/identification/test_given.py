@@ -79,9 +79,10 @@ def test_a_com_that_is_off_is_found_with_k():
     wrong = replace(own, payload=varied(PLATE, com=np.array([0.0, 0.0, 5.5e-3])))
     found = output_error([wrong], AXISYMMETRIC, TRUTH, given=USUAL)
     assert found.converged
-    std = np.sqrt(np.diag(found.covariance + found.from_given))[:4]
-    assert np.all(np.abs(found.parameters - factor * NUMBERS)[:4] < 4.0 * std)
-    assert np.all(std < 0.15 * factor * NUMBERS[:4])
+    std, off = np.sqrt(np.diag(found.covariance + found.from_given))[:4], np.abs(
+        found.parameters / (factor * NUMBERS) - 1.0)[:4]
+    assert np.all(off * factor * NUMBERS[:4] < 4.0 * std)
+    assert np.all(off < 0.1)  # though z, which hardly moves, is not claimed without its damping
 
 
 def test_a_lip_that_is_lower_than_it_seems_is_no_soft_cup():

@@ -284,9 +284,9 @@ def test_segments_end_at_gaps_of_the_tool_that_cannot_be_bridged(
         lost(tool, *tool_gaps) if tool_gaps else tool,
         lost(package, *package_gaps) if package_gaps else package, PrepareSettings())
     assert_allclose([[(s.first_ns - first) * 1e-9, (s.last_ns - first) * 1e-9]
-                     for s in recording.segments], expected, atol=0.1)
+                     for s in recording.segments()], expected, atol=0.1)
     stamps = recording.measured_tool.stamps_ns
-    for segment in recording.segments:
+    for segment in recording.segments():
         inside = stamps[segment.samples]
         assert segment.first_ns <= inside[0] <= inside[-1] <= segment.last_ns
 

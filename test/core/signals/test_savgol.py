@@ -4,7 +4,14 @@ from math import factorial
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.signals import savgol as module
-from bellows_ros.core.signals.savgol import correlated, savgol, weights, with_filtered_noise
+from bellows_ros.core.signals.savgol import (
+    bridged,
+    correlated,
+    longest_bridge,
+    savgol,
+    weights,
+    with_filtered_noise,
+)
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
 import numpy as np
@@ -147,3 +154,38 @@ def test_it_is_the_filter_of_scipy(kept):
     found = correlated(inputs, kept)
     inputs[1:] *= np.sqrt(1.0 - kept**2)
     assert_allclose(found, lfilter([1.0], [1.0, -kept], inputs, axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize(('half_window', 'order'), [(8, 6), (30, 6), (42, 6)])
+def test_a_bridge_is_as_certain_as_a_measured_pose(half_window, order):
+    """And exact for polynomials, in gaps of any places."""
+    rng, count = np.random.default_rng(2), longest_bridge(half_window, order)
+    at = np.linspace(-1.0, 1.0, 6 * half_window)
+    valid = np.ones(len(at), dtype=bool)
+    valid[3 * half_window:3 * half_window + count] = False
+    valid[half_window] = False
+    curve = np.vander(at, order + 1) @ rng.normal(size=(order + 1, 3))
+    turns = lie.exp_so3(0.3 * curve * [0.0, 0.0, 1.0])
+    lost = np.where(valid[:, None], curve, 99.0)
+    found = bridged(trajectory_of(lost, turns, valid=valid), half_window, order)
+    assert found.valid.all()
+    assert_allclose(found.position, curve, atol=1e-6)
+    errors = np.array([bridged(trajectory_of(
+        rng.normal(size=(len(at), 3)), turns, valid=valid), half_window, order).position[~valid]
+        for _ in range(300)])
+    spread = errors.std(axis=(0, 2))
+    assert 0.6 < spread.max() < 1.1
+
+
+@pytest.mark.parametrize(('half_window', 'order'), [(10, 4), (40, 6)])
+def test_tapered_weights_are_those_of_a_weighted_fit_and_stop_what_is_above_their_band(
+        half_window, order):
+    lags = np.arange(-half_window, half_window + 1)
+    roots = np.cos(0.5 * np.pi * lags / (half_window + 1))
+    powers = np.array([(lags / RATE_HZ) ** j / factorial(j) for j in range(order + 1)]).T
+    expected = np.linalg.pinv(roots[:, None] * powers)[:3] * roots
+    tapered, plain = (weights(half_window, order, RATE_HZ, taper) for taper in (True, False))
+    assert_allclose(tapered, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+    waves = np.exp(2j * np.pi * np.outer(lags, np.linspace(1.5 * order / (
+        2 * half_window + 1), 0.5, 50)))
+    assert np.mean(np.abs(tapered[0] @ waves)**2) < 0.1 * np.mean(np.abs(plain[0] @ waves)**2)
