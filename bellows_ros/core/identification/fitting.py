@@ -598,16 +598,22 @@ def fitted(
         MARKERS if values.recording.marker == 'shared' else (), standstills)
 
 
+MIN_LATERAL = 1.0 / 3.0
+"""Smallest lateral stiffness of a first cup, relative to the axial one: bellows have 0.3 to 0.9 of
+it, and least squares finds a tenth where the lip hardly moves sideways."""
+
+
 def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
     """
-    Return the initial cup of output error, by least squares of few parameters.
+    Return the initial cup of output error: K by least squares, without damping.
 
-    Unidentifiable or negative entries are taken from the given cup.
+    Unidentifiable or negative entries of K are taken from the given cup. Damping by least squares
+    is mostly noise, and may be a hundred times that of any rubber.
     """
     result = least_squares(parts)
-    stiffness, damping = (
-        np.where(np.isfinite(error) & (value >= 0.0), value, instead)
-        for value, error, instead in (
-            (result.stiffness, result.stiffness_std, given.stiffness),
-            (result.damping, result.damping_std, given.damping)))
-    return replace(given, stiffness=stiffness, damping=damping)
+    is_known = np.isfinite(result.stiffness_std) & (result.stiffness >= 0.0)
+    stiffness = np.where(is_known, result.stiffness, given.stiffness)
+    lateral = [0, 1]
+    stiffness[lateral, lateral] = np.maximum(
+        stiffness[lateral, lateral], MIN_LATERAL * stiffness[2, 2])
+    return replace(given, stiffness=stiffness, damping=np.zeros((6, 6)))

@@ -215,7 +215,7 @@ MAX_LOG_STEP = 1.0
 """Largest change of the logarithm of K or P in a step."""
 
 MIN_DAMPING = math.exp(-CHANCE * DAMPING_LOG_STD)
-"""Smallest damping of the first cup, relative to ordinary damping: zero has no logarithm."""
+"""Smallest damping of a first cup, relative to ordinary damping, which replaces a smaller one."""
 
 
 def logarithm(M: Array, scale: Array) -> Array:
@@ -318,10 +318,12 @@ class Problem:
         if 'relaxation' in self.free:
             cup = replace(cup, relaxation=tuple(
                 np.maximum(cup.relaxation, MIN_STRENGTH).tolist()))
-        least = np.diag(MIN_DAMPING * ordinary)
-        if min(np.linalg.eigvalsh(M)[0] for M in (cup.stiffness, cup.damping - least)) <= 0.0:
-            cup = replace(cup, stiffness=np.diag(np.diag(cup.stiffness)), damping=np.diag(
-                np.maximum(np.diag(cup.damping), MIN_DAMPING * ordinary)))
+        if np.linalg.eigvalsh(cup.stiffness)[0] <= 0.0:
+            cup = replace(cup, stiffness=np.diag(np.diag(cup.stiffness)))
+        if np.linalg.eigvalsh(cup.damping - np.diag(MIN_DAMPING * ordinary))[0] <= 0.0:
+            own = np.diag(cup.damping)
+            cup = replace(cup, damping=np.diag(np.where(
+                own < MIN_DAMPING * ordinary, ordinary, own)))
         return cup
 
     @property
