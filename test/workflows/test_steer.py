@@ -28,7 +28,7 @@ def test_the_sample_plans_are_steered_within_the_sample_limits(root, plan):
     found = steer_plan(root / f'bags/{plan}.yaml', read_parameters(root / 'bags/tossing.yaml'),
                        'zvd', file)
     limits = read_limits(safe_yaml.load(file))
-    ((_, _, slowed, _),) = found.notes
+    slowed = next(each.numbers for each in found.notes if each.code == 'slowed')
     assert slowed['limit'] == 'speed' and max(found.used.values()) <= 1.0 + 1e-6
     quicker = steer(found.source.model, timed(found.source.tool, 0.99 * slowed['scale']), 'zvd')
     assert demands(quicker.tool)['speed'] > limits.rates['speed']
