@@ -229,10 +229,12 @@ MOTIVE = (
 
 
 def plan_in(file):
-    """Read a plan, also of joints, and return its positions."""
-    urdf = file.with_name('arm.urdf')
-    urdf.write_text(URDF)
-    return read_plan(file, resolve({'tool_link': 'tool'}), str(urdf)).tool.position.tolist()
+    """Read a plan, one of joints with its arm, and return its positions."""
+    urdf = ''
+    if file.name == 'joints.yaml':
+        file.with_name('arm.urdf').write_text(URDF)
+        urdf = str(file.with_name('arm.urdf'))
+    return read_plan(file, resolve({'tool_link': 'tool'}), urdf).tool.position.tolist()
 
 
 def simulated(root, file):
