@@ -328,13 +328,16 @@ def _tempered(at: Solution) -> tuple[Arrow, Array]:
     """
     Return information and slope of a misfit that counts as noise.
 
-    The deviations of a remote start are `Solution.chi2` times the noise, so that the priors of
-    given quantities weigh as much more. Otherwise length, centre of mass and marker leave their
-    given values together for any small gain, and do not return.
+    The deviations of a remote start are `Solution.chi2` times the noise, so that all priors weigh
+    as much more. Otherwise length, centre of mass and marker leave their given values together,
+    or the damping its order of magnitude, for any small gain, and do not return.
     """
-    heavier = max(at.chi2 - 1.0, 0.0) * at.problem.weights
-    return (at.information.raised(heavier),
-            at.slope + heavier * (at.problem.start - at.theta))
+    prior, slope = at.problem.prior(at.theta)
+    more = max(at.chi2 - 1.0, 0.0)
+    information = replace(
+        at.information, shared=at.information.shared + more * prior.shared,
+        own=at.information.own + more * prior.own)
+    return information, at.slope + more * slope
 
 
 def settled(start: Solution, report: Report = no_report) -> Solution:
