@@ -12,6 +12,7 @@ from functools import partial
 import inspect
 import os
 from pathlib import Path
+import shlex
 from shutil import which
 import sys
 from types import MappingProxyType, SimpleNamespace
@@ -32,6 +33,7 @@ import click
 from click.shell_completion import CompletionItem, shell_complete
 
 if TYPE_CHECKING:
+    from bellows_ros.files import File
     from bellows_ros.report.console import Console
 
 WIDTH = 100
@@ -265,20 +267,25 @@ def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
     if not out:
         return ('The cup was not written to a file; give --out cup.yaml to keep it.',)
     if not cell:
-        lost = [name for name in result.asked if name != 'cup.length']
-        params = ''.join(f' --params {file}' for file in (*arguments.params, out))
-        steps = check, f'  bellows replay BAG{params}'
-        if not lost:
-            return steps
-        return (f'Without --out-cell cell.yaml the estimates of {", ".join(lost)} are lost.',
-                *steps)
+        if not (lost := result.outside_cup_file):
+            return check, _replay_of(*arguments.params, out)
+        cell = f'{os.path.splitext(out)[0]}_cell.yaml'
+        words = ['bellows', *click.get_current_context().obj, '--out-cell', cell]
+        return (f'The cup file is right only with {", ".join(lost)} of this fit. Write both:',
+                f'  {shlex.join(words)}', check, _replay_of(cell, out))
     topics = result.remappings
     return (
-        check, f'  bellows replay BAG --params {cell} --params {out} '
-        f'--observe {topics.get("package/measured", "/tf")}', 'Then predict live:',
+        check, f'{_replay_of(cell, out)} --observe {topics.get("package/measured", "/tf")}',
+        'Then predict live:',
         f'  {"" if which("predictor") else "ros2 run bellows_ros "}predictor --ros-args'
-        f' --params-file {cell} --params-file {out}'
+        f' --params-file {shlex.quote(cell)} --params-file {shlex.quote(out)}'
         + ''.join(f' -r {name}:={topic}' for name, topic in topics.items()))
+
+
+def _replay_of(*params: 'File') -> str:
+    """Return the command that checks a cup on another recording."""
+    return '  ' + shlex.join(['bellows', 'replay', 'BAG', *(
+        word for file in params for word in ('--params', str(file)))])
 
 
 def _identify_release(arguments: Any, console: 'Console') -> Outcome:
@@ -637,7 +644,7 @@ def _run(words: list[str]) -> int:
         with click.Context(app, info_name='bellows') as context:
             click.echo(app.get_help(context), err=True)
         return USER_ERROR
-    with app.make_context('bellows', words) as context:
+    with app.make_context('bellows', list(words), obj=words) as context:
         return int(app.invoke(context))
 
 

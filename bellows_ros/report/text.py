@@ -149,7 +149,7 @@ class Writer:
 def print_identification(result: 'Identification', out: Any) -> None:
     """Print the cup, with samples and findings."""
     fit, verdict = result.fit, result.verdict
-    out.paragraph(*map(text_of, (*verdict.cause, *verdict.doubts)))
+    out.paragraph(*map(text_of, verdict.cause))
     out.paragraph(*result.refusals, style='red')
     found = 'No cup' if result.refusals else 'Cup'
     out.line(f'{found} identified from {listed(result.bags)}', 'bold')

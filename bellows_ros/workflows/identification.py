@@ -37,7 +37,13 @@ from bellows_ros.workflows.recordings import (
     values_of_each,
 )
 from bellows_ros.workflows.static import StaticResult
-from bellows_ros.workflows.verdict import estimates_of, FitVerdict, FREE_PARAMETERS, UNTESTED
+from bellows_ros.workflows.verdict import (
+    CHANGED,
+    estimates_of,
+    FitVerdict,
+    FREE_PARAMETERS,
+    UNTESTED,
+)
 import numpy as np
 
 if TYPE_CHECKING:  # not needed by a plain identification
@@ -268,24 +274,33 @@ class Identification(CommandResult):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on the cup in addition to K and P."""
-        return tuple(map(text_of, self.findings))
+        """Sentences on the cup in addition to K and P, without warnings."""
+        return tuple(text_of(each) for each in self.findings if each.level == Level.OK)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings on clocks, estimates and standstills."""
+        """Findings on clocks, estimates, standstills, and changed given quantities."""
         found = [*self.asked.items()]
         if self.static and (length := self.static.length):
             found.append(('cup.length', (length.length, length.total_std, 'm by loads alone')))
         return (*offset_findings(zip(self.bags, self.delays, strict=False)),
-                *(estimate_finding(name, *each) for name, each in found))
+                *(estimate_finding(name, *each) for name, each in found),
+                *self.verdict.corrections)
 
     @property
     def asked(self) -> Mapping[str, tuple[Any, Any, str]]:
         """Those estimates that fit.free or recording.package_world request."""
-        names = {'recording.package_world', 'measured.scale', *(
-            FREE_PARAMETERS[name][0] for name in {*self.fit.named} & FREE_PARAMETERS.keys())}
+        named = {*self.fit.named} & CHANGED.keys() - {'time_offset'}  # see `offset_findings`
+        names = {'recording.package_world', 'measured.scale',
+                 *(CHANGED[name][0] for name in named)}
         return {name: each for name, each in self.found.items() if name in names}
+
+    @property
+    def outside_cup_file(self) -> list[str]:
+        """Changed and requested quantities that only the cell file contains."""
+        changed = [change.parameter for change in self.verdict.changes]
+        return [name for name in dict.fromkeys([*self.asked, *changed])
+                if name in self.found and name != 'cup.length']
 
     @cached_property
     def delays(self) -> tuple[TimeOffset, ...]:
@@ -316,6 +331,7 @@ class Identification(CommandResult):
               for bag, reason in self.failed),
             *self.assumed,
             *self._fit_warnings(),
+            *(text_of(each) for each in self.findings if each.level > Level.OK),
             *(self.static.warnings if self.static else ()),
             *(text_of(own) for part in self.parts for own in part.remarks))
 

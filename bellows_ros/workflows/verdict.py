@@ -1,10 +1,9 @@
 """Quality of a cup, causes of a misfit, and the acceptance of the cup."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import math
-from operator import itemgetter
-from types import MappingProxyType
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -19,7 +18,6 @@ from bellows_ros.core.identification.validation import corner_scores, MAX_NRMSE,
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
-from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.recording import Recording
@@ -55,6 +53,33 @@ FREE_PARAMETERS = {
 """Parameter and unit of each estimated quantity of cup and package."""
 
 
+def _percents(change: Array) -> str:
+    """Return the largest of some changes, logarithms of factors, as a sentence's number."""
+    return f'{100.0 * np.max(np.abs(np.expm1(change))):.2g} %'
+
+
+def _millimetres(change: Array) -> str:
+    """Return the length of a change (n,), m, as a sentence's number."""
+    return f'{1e3 * np.linalg.norm(change):.2g} mm'
+
+
+def _shift_and_angle(change: Array) -> str:
+    """Return the change (6,) of a frame, m and rad, as a sentence's numbers."""
+    return (f'{_millimetres(change[:3])} and '
+            f'{math.degrees(float(np.linalg.norm(change[3:]))):.2g} degrees')
+
+
+CHANGED: Mapping[str, tuple[str, str, Callable[[Array], str]]] = {
+    'com': ('package.com', 'package.com_std', _millimetres),
+    'length': ('cup.length', 'cup.length_std', _millimetres),
+    'mass': ('package.mass', 'package.mass_std', _percents),
+    'inertia': ('package.inertia', 'package.inertia_std', _percents),
+    'package_marker': ('measured.offset', 'recording.marker_std', _shift_and_angle),
+    'time_offset': ('measured.latency', 'recording.clock_std', lambda change: (
+        f'{1e3 * abs(change[0]):.2g} ms'))}
+"""Given quantities that a fit may change: parameter, its standard deviation, size in words."""
+
+
 class Simulated(NamedTuple):
     """
     A recording simulated freely with the cup: RMS errors, noise and motion by axis, m and rad.
@@ -83,6 +108,18 @@ class Simulated(NamedTuple):
         return [self.axes[i] for i in np.flatnonzero(~within)]
 
 
+class Change(NamedTuple):
+    """A given quantity that a fit changed beyond the estimate's own error, by its parameter."""
+
+    parameter: str
+    off: str
+    """Size of the change in words, with units."""
+    pull: float
+    """Size of the change in stated standard deviations of the given value."""
+    std: str
+    """Parameter with this standard deviation."""
+
+
 class FitVerdict(NamedTuple):
     """
     Free simulations of recordings of the fit, and deviations from given quantities.
@@ -104,11 +141,8 @@ class FitVerdict(NamedTuple):
     log_inertia_ratio: float = 0.0
     """Logarithm of the ratio of inertia and mass as estimated by the fit, relative to the given
     ratio."""
-    found: Mapping[str, tuple[Array, str, float]] = MappingProxyType({})
-    """
-    Significantly changed parameters of package and cup: value by the fit, change, and change in
-    standard deviations; the largest change first.
-    """
+    changes: tuple[Change, ...] = ()
+    """Changed given quantities, the largest change in stated standard deviations first."""
 
     @property
     def wrong(self) -> list[Cause]:
@@ -121,13 +155,9 @@ class FitVerdict(NamedTuple):
         """Given values beyond their stated errors, if no single cause explains the deviations."""
         is_open = self.causing and not self.causing[0].certain and (
             self.causing[0].name != 'unknown' or self._is_misfit)
-        return self._off_given(Level.ERROR) if is_open else []
-
-    def _off_given(self, level: Level) -> list[Finding]:
-        """Return findings on given values beyond their stated errors."""
-        return [Finding('off_given', level, {
-            'off': off, 'pull': pull}, name) for name, (_, off, pull) in self.found.items()
-            if pull > SIGMAS and f'{name}_std' in PARAMETERS]
+        wrong = [change for change in self.changes if change.pull > SIGMAS and (
+            change.parameter.startswith(('package.', 'cup.')))]
+        return [off_given(change, Level.ERROR) for change in wrong] if is_open else []
 
     @property
     def _is_misfit(self) -> bool:
@@ -141,15 +171,16 @@ class FitVerdict(NamedTuple):
         return bool(self.simulated) and all(each.is_at_noise for each in self.simulated)
 
     @property
-    def doubts(self) -> tuple[Finding, ...]:
-        """Findings on corrections by the fit that may be due to a wrong mass."""
+    def corrections(self) -> tuple[Finding, ...]:
+        """Findings on given quantities that the fit of an accepted cup changed."""
         if self.refusals:
             return ()
         found = []
         if abs(self.log_inertia_ratio) >= MIN_INERTIA_RATIO:
             found.append(Finding('doubtful_mass', Level.WARN, {
                 'factor': math.exp(-self.log_inertia_ratio)}))
-        return (*found, *self._off_given(Level.WARN))
+        return (*found, *(off_given(change, Level.WARN if change.pull > SIGMAS else Level.OK)
+                          for change in self.changes))
 
     @property
     def cause(self) -> tuple[Any, ...]:
@@ -236,7 +267,7 @@ def verdict_of(
         faults=tuple(remark for remark in remarks if remark.level == Level.ERROR),
         sensor=tuple(remark for remark in remarks if remark.code == 'sensor')[:1],
         log_inertia_ratio=ratio,
-        found=_found(fit, values, tested[0], length + float(grown[0, 0])))
+        changes=_changes(fit, values))
     if verdict.faults:
         return verdict
     if fit.method != 'output_error':
@@ -262,24 +293,25 @@ def _all_simulated(
                          fit.noise_in_motion.get(number), held)
 
 
-def _found(
-    fit: Fit, values: Values, recording: Recording, length: float
-) -> Mapping[str, tuple[Array, str, float]]:
-    """Return `FitVerdict.found` of a converged fit; length in m."""
-    if not fit.converged:
-        return {}
-    std, free = given_std(values), {name: rows[0] for name, rows in fit.nuisances.items()
-                                    if name not in ('exposure', *fit.named)}
-    estimates = estimates_of(recording.payload, free, length)
-    found = sorted((
-        (float(np.max(np.abs(free[name]) / std[name])), topic, value, f'{size:.2g} {unit}')
-        for name, topic, value, size, unit in (
-            *((name, FREE_PARAMETERS[name][0], estimates[name], 1e3 * np.linalg.norm(
-                free.get(name, 0.0)), 'mm') for name in ('com', 'length')),
-            ('inertia', 'package.inertia', estimates['inertia'], 100.0 * np.max(np.abs(np.expm1(
-                free.get('inertia', 0.0)))), '%')) if name in free and name in std),
-        key=itemgetter(0), reverse=True)
-    return {topic: (value, change, pull) for pull, topic, value, change in found}
+def off_given(change: Change, level: Level) -> Finding:
+    """Return the finding on a changed quantity."""
+    return Finding('off_given', level, {
+        'off': change.off, 'pull': change.pull, 'std': change.std}, change.parameter)
+
+
+def _changes(fit: Fit, values: Values) -> tuple[Change, ...]:
+    """Return `FitVerdict.changes` of a converged fit."""
+    found, given = list[Change](), given_std(values)
+    for name, (parameter, std, off) in CHANGED.items():
+        if not fit.converged or name not in given or name not in fit.nuisances or (
+                name in fit.named):
+            continue
+        sizes, errors = np.abs(fit.nuisances[name]), fit.nuisances_std[name]
+        if np.any(sizes > SIGMAS * errors):
+            row = fit.nuisances[name][np.argmax(np.max(sizes / errors, axis=1))]
+            pull = float(np.max(np.abs(row) / given[name]))
+            found.append(Change(parameter, off(row), pull, std))
+    return tuple(sorted(found, key=attrgetter('pull'), reverse=True))
 
 
 def estimates_of(

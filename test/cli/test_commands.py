@@ -4,6 +4,7 @@ import importlib.util
 import json
 from pathlib import Path
 import re
+import shlex
 
 from bellows_ros.core.identification import estimate
 from bellows_ros.core.parameters.checks import RECORDING_PARAMETERS, resolve
@@ -13,7 +14,7 @@ from bellows_ros.files.parameter_files import read_parameters
 import numpy as np
 import pytest
 
-from .conftest import contents, KNOWN, TRUTH
+from .conftest import contents, KNOWN, TRUTH, write_yaml
 from ..files.test_detections import calibration, detections, recorded, views
 
 GRIP = ('--set', 'cup.lip_radius=0.025', '--set', 'vacuum.holding=60000',
@@ -130,6 +131,31 @@ def test_the_parameter_file_serves_once_the_package_is_filled_in(
                    tmp_path / 'cup.yaml', cwd=workshop)
     assert read_parameters(tmp_path / 'cup.yaml')['cup.length'] == 0.046
     assert read_parameters(file)['topics.tool_pose'] == '/tool_arm/pose'
+
+
+@pytest.mark.parametrize(('name', 'value', 'size'), [
+    ('package.com', [0.0028, -0.0028, -0.03], 4.0),
+    ('package.inertia', [1.15 * x for x in KNOWN['package.inertia']], 13.0),
+    ('cup.length', 0.048, 2.0)])
+def test_a_changed_quantity_is_said_and_the_printed_commands_are_right_with_it(
+        bellows, succeed, workshop, tmp_path, name, value, size):
+    """Run the printed commands as printed, for the recording itself."""
+    write_yaml(tmp_path / 'wrong.yaml', {**KNOWN, name: value})
+    recording = workshop / 'recording'
+    done = succeed('identify', recording, '--params', 'wrong.yaml', '--out', 'a cup.yaml',
+                   '--json', 'found.json', cwd=tmp_path)
+    found = json.loads((tmp_path / 'found.json').read_text())
+    said, = (each for each in found['findings'] if each['code'] == 'off_given')
+    assert said['topic'] == name and said['text'] in ' '.join(done.stdout.split())
+    assert float(said['numbers']['off'].split()[0]) == pytest.approx(size, rel=0.1)
+    commands = [shlex.split(line)[1:] for line in done.stdout.splitlines()
+                if line.startswith('  bellows ')]
+    assert ('a cup_cell.yaml' in commands[-1]) == (name != 'cup.length')
+    for command in commands:
+        words = [str(recording) if word == 'BAG' else word for word in command]
+        succeed(*words, cwd=tmp_path)
+    replay = json.loads(succeed(*words, '--json', '-', cwd=tmp_path).stdout)
+    assert max(replay['rms'][:3]) < 1.2 * 2e-5
 
 
 def test_a_parameter_of_its_advice_may_be_set(bellows, succeed, tmp_path):

@@ -11,7 +11,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.faults import recording_remarks
 from bellows_ros.report.findings import text
 from bellows_ros.workflows import verdict
-from bellows_ros.workflows.verdict import cause_finding, FitVerdict, Simulated
+from bellows_ros.workflows.verdict import cause_finding, Change, FitVerdict, Simulated
 import numpy as np
 import pytest
 
@@ -50,11 +50,12 @@ def judged(*causes):
 
 
 @pytest.mark.parametrize(('heavier', 'pull', 'said'), [
-    (0.09, 0.0, ['0.914 times']), (-0.09, 0.0, ['1.09']), (0.03, 2.0, []),
+    (0.09, 2.0, ['0.914 times', '120 %']), (-0.09, 2.0, ['1.09', '120 %']), (0.03, 2.0, ['120 %']),
     (-0.4, 16.0, ['1.49 times', '16 times'])])
 def test_a_corrected_inertia_makes_the_mass_doubtful_and_is_a_finding(heavier, pull, said):
-    found = judged()._replace(log_inertia_ratio=heavier, found={
-        'package.inertia': (np.ones(6), '120 %', pull)}).doubts
+    found = judged()._replace(log_inertia_ratio=heavier, changes=(Change(
+        'package.inertia', '120 %', pull, 'package.inertia_std'),)).corrections
+    assert found[-1].level == (Level.OK if pull < 3.0 else Level.WARN)
     assert len(found) == len(said)
     assert all(part in text(each) for part, each in zip(said, found, strict=True))
 
@@ -80,7 +81,7 @@ def test_a_certain_cause_or_a_likely_one_that_moves_k_refuses_a_cup(
     (2.0, False, ''), (8.0, True, 'Correct'), (8.0, False, 'package.com is 18 mm')])
 def test_contradicted_given_values_refuse_a_cup_without_a_certain_cause(pull, certain, named):
     found = judged(cause('com', [0.02, 0.0, 0.0], 0.1, certain))._replace(
-        found={'package.com': (np.zeros(3), '18 mm', pull)})
+        changes=(Change('package.com', '18 mm', pull, 'package.com_std'),))
     assert named in words(found.refusals) and bool(found.refusals) == bool(named)
 
 

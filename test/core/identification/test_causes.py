@@ -103,7 +103,7 @@ def outcome(laboratory, cause):
         if word == 'silent and wrong':
             return 'said, and wrong', f'{said} {off}'
         return of_one(named, cause), said
-    first = next(iter(verdict.found), '')  # with K and P, so that nothing is refused
+    first = next((change.parameter for change in verdict.changes), '')  # nothing is refused
     if cause in first:
         word = {'silent': 'right', 'silent and wrong': 'said, and wrong'}.get(word, word)
     return word, f'{first} {off}'
