@@ -466,7 +466,7 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
         result = workflow.plan(arguments.plan, values, **more)
     if arguments.out:
         workflow.write_prediction(
-            arguments.out, result.source, result.result.source.tool, result.prediction.states,
+            arguments.out, result.source, result.result.tool, result.prediction.states,
             arguments.force)
     return Outcome(partial(print_plan, result), result)
 

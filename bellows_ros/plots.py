@@ -321,7 +321,7 @@ def _plan_note(report: Any, is_part: bool, has_bands: bool) -> str:
     parts = [f'{report.source.path}, {name}', 'dashed: safety.least', 'red: the cup lets go']
     if is_part:
         begin, end = motion.drawn
-        parts.append(f'the worst {end - begin:.0f} of {motion.source.duration:.0f} s')
+        parts.append(f'the worst {end - begin:.0f} of {motion.duration:.0f} s')
     else:
         parts.append('dotted: the end')
     if has_bands:
@@ -334,7 +334,7 @@ def plan_figure(report: Any) -> Any:
     motion = report.result
     (t, tool, values, std), least = motion.curves, report.source.values.safety.least
     begin, end = motion.drawn
-    stop = motion.source.begin + motion.source.duration
+    stop = motion.begin + motion.duration
     factor = 'safety factor'
     if report.prediction.grip is None:
         factor += ': set cup.lip_radius, vacuum.holding'

@@ -20,8 +20,9 @@ from .sentences import listed, many
 from .text import DISPLAYED, formatted, quantity
 
 if TYPE_CHECKING:
+    from bellows_ros.core.planning.effect import Effect
     from bellows_ros.workflows.convert import Conversion
-    from bellows_ros.workflows.plan import Effect, PlanReport
+    from bellows_ros.workflows.plan import PlanReport
     from bellows_ros.workflows.simulate import SimulationReport
     from bellows_ros.workflows.toss import ReleaseResult, TossResult
 
@@ -184,7 +185,7 @@ def _figure(motion: Effect, name: str, unit: str) -> str:
     if name != 'smallest_safety_factor':
         return found
     _, mode, time = motion.prediction.smallest_safety
-    return f'{found} ({mode}, at {motion.source.begin + time:.3f} s)'
+    return f'{found} ({mode}, at {motion.begin + time:.3f} s)'
 
 
 def print_toss(result: TossResult, out: Any) -> None:

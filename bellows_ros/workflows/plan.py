@@ -1,11 +1,11 @@
 """
 Prediction of planned motions with uncertainty: as planned, in the shortest safe time, or steered.
 
-A plan is read as a `Source`. A `PlanReport` has the `Effect` of the requested motion and, beside
-it, of the plan as it is.
+A plan is read as a `PlannedMotion`. A `PlanReport` has the `Effect` of the requested motion and,
+beside it, of the plan as it is.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,25 +16,29 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Stamps
-from bellows_ros.core.geometry.lie import apply, quaternion_to_rotation
+from bellows_ros.core.geometry.lie import quaternion_to_rotation
 from bellows_ros.core.live.predictor import points_down
 from bellows_ros.core.model import simulation
-from bellows_ros.core.model.cup_package import contributions, mean_square, model_tuple
-from bellows_ros.core.model.grip import factors_along, Grip, Margin, margin, safety_finding
+from bellows_ros.core.model.cup_package import model_tuple
+from bellows_ros.core.model.grip import Grip
 from bellows_ros.core.model.kernels import ModelTuple
-from bellows_ros.core.model.validity_range import flip_finding
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.planning import limits as bounding
 from bellows_ros.core.planning import points, steering
+from bellows_ros.core.planning.effect import (
+    Effect,
+    effect_of,
+    PlanSettings,
+    STILL,
+)
 from bellows_ros.core.planning.limits import Fastest, Limits
 from bellows_ros.core.planning.plan_prediction import (
-    MAX_TAIL,
     PlanPrediction,
     PlanSimulation,
     SETTLED_ANGLE,
 )
-from bellows_ros.core.planning.points import Joints, plan_of, speed_step_finding, timed
+from bellows_ros.core.planning.points import Joints, plan_of, timed
 from bellows_ros.core.recording import alignment, preparation
 from bellows_ros.core.recording.recording import PrepareSettings
 from bellows_ros.core.signals import resampling, savgol, trajectory
@@ -55,24 +59,6 @@ from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
 YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt')
-TAIL_SHOWN = 1.5
-"""Longest time after the end in a picture, s."""
-STANDSTILL_STEP = 0.005
-"""Spacing of the points after the end, s."""
-
-MIN_DRAWN_LOAD = 1e-3
-"""Smallest load, the inverse of a safety factor, drawn."""
-
-STILL = (0.01, 0.04)
-"""Largest speeds of a tool between two moves, m/s and rad/s: ten times the noise of recorded
-twists."""
-
-MIN_STOP = 0.3
-"""Shortest standstill between two moves, s: a reversal of the motion is shorter."""
-
-DRAWN_SECONDS = 5.0
-"""Part of a motion of several moves in a picture, s: a package swings 10 to 20 times in it."""
-
 AS_PLANNED = 'as planned'
 """Name of the unchanged motion."""
 
@@ -81,7 +67,7 @@ MotionSource = File | Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class PlannedMotion:
     """
     A motion of the tool as read from a file, with the parameters of cup and package.
 
@@ -135,11 +121,6 @@ class Source:
         """Duration of the motion, s."""
         return float(self.tool.seconds[-1])
 
-    @property
-    def begins_at_rest(self) -> bool:
-        """Whether the tool is at rest at its first point."""
-        return simulation.stands(np.asarray(self.tool.twist)[0])
-
     @cached_property
     def gravity(self) -> Array:
         """Acceleration (3,) in the frame of the plan, m/s^2."""
@@ -158,17 +139,23 @@ class Source:
         """Grip of the cup; None if unknown."""
         return conversion.grip_of(self.values)
 
-    def deviations(self, compute: Callable[[ModelTuple], Array]) -> Array:
-        """Return the standard deviations of a function of the model; 0 for exact parameters."""
-        _, parts = contributions(conversion.uncertain_of(self.values), self.model, compute)
-        return np.asarray(
-            np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(self.model))
+    @property
+    def settings(self) -> PlanSettings:
+        """Cup, package and grip of the prediction."""
+        values = self.values
+        return PlanSettings(
+            self.model, conversion.uncertain_of(values), self.grip, float(values.safety.least),
+            conversion.parameter_envelope(values), values.package.mass, values.vacuum.holding)
+
+    def effect(self, tool: Trajectory) -> Effect:
+        """Return the effect of the plan, or of another motion of E from its begin."""
+        return effect_of(tool, self.begin, self.settings)
 
 
 class OfPlan(CommandResult):
     """A result on a plan."""
 
-    source: Source
+    source: PlannedMotion
     """The plan."""
 
     @property
@@ -187,151 +174,6 @@ class OfPlan(CommandResult):
         raise NotImplementedError
 
 
-class Move(NamedTuple):
-    """A move of the tool between two standstills, s, and the least factor until the next move."""
-
-    begin: float
-    end: float
-    smallest_safety_factor: float
-
-
-@dataclass(frozen=True, eq=False)
-class Effect:
-    """
-    A motion of the tool, and its effect on the package.
-
-    Parameters
-    ----------
-    source : Source
-        The motion.
-    prediction : PlanPrediction
-        Predicted motion of the package.
-    std : mapping of str to float
-        Standard deviation of each number of `summary`.
-
-    """
-
-    source: Source
-    prediction: PlanPrediction
-    std: Mapping[str, float]
-
-    def summary(self) -> dict[str, float]:
-        """Return the numbers of a summary, SI units; NaN for unknown ones."""
-        numbers = {'duration': self.source.duration, **self.prediction.summary()}
-        numbers['smallest_safety_time'] += self.source.begin
-        return numbers
-
-    @cached_property
-    def outside(self) -> tuple[str, ...]:
-        """Phrases on exceeded validity ranges of the cup."""
-        values = self.source.values
-        return self.prediction.outside(
-            conversion.parameter_envelope(values), values.package.mass, values.vacuum.holding)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Findings on the motion."""
-        prediction, required = self.prediction, self.source.values.safety.least
-        safety = Finding('no_factor') if prediction.grip is None else safety_finding(
-            *prediction.smallest_safety[:2], self.std['smallest_safety_factor'], required)
-        found = [] if safety is None else [safety]
-        if steps := speed_step_finding(self.source.tool):
-            found.append(steps)
-        if flip := flip_finding(prediction.bending):
-            found.append(flip)
-        at_rest = {'begins': self.source.begins_at_rest, 'ends': prediction.ends_at_rest}
-        moving = [side for side, is_still in at_rest.items() if not is_still]
-        if moving:
-            found.append(Finding('in_motion', Level.WARN, {'side': ' and '.join(moving)}))
-        if self.outside:
-            found.append(outside_finding(self.outside))
-        return tuple(found)
-
-    def with_peaks(self, seconds: Array, loads: Array) -> Array:
-        """Return loads (N, 2) at times (N,), s, with the peaks between and after these times."""
-        (peel, slip), loads = self.prediction.peaks[:2, :2], loads.copy()
-        for mode, (load, time) in enumerate((peel, slip)):
-            at = min(int(np.searchsorted(seconds, time)), len(seconds) - 1)
-            loads[at, mode] = max(loads[at, mode], load)
-        return loads
-
-    @cached_property
-    def moves(self) -> tuple[Move, ...]:
-        """Moves between standstills of the tool, with their least safety factors."""
-        speeds = np.linalg.norm(np.asarray(self.source.tool.twist).reshape(-1, 2, 3), axis=2)
-        moving, t = np.flatnonzero((speeds > STILL).any(axis=1)), self.source.tool.seconds
-        if self.prediction.grip is None or not len(moving):
-            return ()
-        stops = np.flatnonzero(np.diff(t[moving]) > MIN_STOP)
-        begins, ends = moving[np.append(0, stops + 1)], moving[np.append(stops, -1)]
-        loads = self.with_peaks(t, self.prediction.loads).max(axis=1)
-        largest, t = np.maximum.reduceat(loads, begins), t + self.source.begin
-        return tuple(
-            Move(begin, end, 1.0 / load if load > 0.0 else math.inf) for begin, end, load in zip(
-                t[begins].tolist(), t[ends].tolist(), largest.tolist(), strict=True))
-
-    @property
-    def drawn(self) -> tuple[float, float]:
-        """Begin and end of the picture, s: of many moves the part with the worst one."""
-        duration, half, first = self.source.duration, 0.5 * DRAWN_SECONDS, self.source.begin
-        if len(self.moves) < 2 or duration <= 2.0 * DRAWN_SECONDS:
-            return first, first + duration + TAIL_SHOWN
-        middle = first + min(max(self.prediction.smallest_safety[2], half), duration - half)
-        return middle - half, middle + half
-
-    def extended(self, seconds: float) -> Trajectory:
-        """Return the motion of the tool with a final standstill of a duration (s)."""
-        tool, count = self.source.tool, round(seconds / STANDSTILL_STEP)
-        later = tool.stamps_ns[-1] + np.arange(1, count + 1) * round(STANDSTILL_STEP * NS_PER_S)
-        more = ((0, count), (0, 0))
-        return Trajectory(
-            np.append(tool.stamps_ns, later), np.pad(tool.position, more, 'edge'),
-            np.pad(tool.rotation, (*more, (0, 0)), 'edge'), np.pad(np.asarray(tool.twist), more))
-
-    @cached_property
-    def curves(self) -> tuple[Array, Array, Array, Array]:
-        """
-        Curves of the picture, including the time after a motion that ends at rest.
-
-        Times of the plan (N,), s; positions of E (N, 3), m; position of B (3, m),
-        bending (rad), safety factors against peel and slip, wrench of the cup at the lip (6, N and
-        N m), and position of B in E (3, m), (N, 15); and their standard deviations.
-        """
-        prediction, source = self.prediction, self.source
-        tool = self.extended(min(TAIL_SHOWN, prediction.settled_after + 0.2)
-                             if prediction.ends_at_rest else 0.0)
-        run = PlanSimulation(source.model, source.grip, tool, tail=0.0)
-        R_tool_world = np.swapaxes(tool.rotation, 1, 2)
-
-        def compute(changed: ModelTuple) -> Array:
-            found = run.with_model(changed).predict()
-            angle = bending(tool.rotation, quaternion_to_rotation(found.states[:, 3:7]))
-            loads = self.with_peaks(tool.seconds, found.loads) if (
-                changed is source.model) else found.loads
-            factors = 1.0 / np.maximum(loads, MIN_DRAWN_LOAD)
-            in_tool = apply(R_tool_world, found.states[:, :3] - tool.position)
-            return np.hstack(
-                [found.states[:, :3], angle[:, None], factors, found.wrench, in_tool])
-
-        times = source.begin + tool.seconds
-        return times, tool.position, compute(source.model), source.deviations(compute)
-
-    def bodies(self) -> tuple[Trajectory, Trajectory]:
-        """Return tool and package, including the time after a motion that ends at rest."""
-        tool = self.extended(TAIL_SHOWN if self.prediction.ends_at_rest else 0.0)
-        states = PlanSimulation(self.source.model, None, tool, tail=0.0).predict().states
-        return tool, simulation.ToolRows(tool.stamps_ns, states).trajectory()
-
-    def numbers(self) -> dict[str, Any]:
-        """Return all numbers of the motion by name, SI units."""
-        prediction = self.prediction
-        return {
-            **self.summary(), **{f'{name}_std': std for name, std in self.std.items()},
-            'smallest_safety_mode': prediction.smallest_safety[1] if prediction.grip else None,
-            'outside_validity': self.outside, 'moves': self.moves,
-            'points': len(self.source.tool)}
-
-
 @dataclass(frozen=True, eq=False)
 class PlanReport(OfPlan):
     """
@@ -339,7 +181,7 @@ class PlanReport(OfPlan):
 
     Parameters
     ----------
-    source : Source
+    source : PlannedMotion
         The plan.
     motions : mapping of str to Effect
         The requested motion, by the name of its method, and the plan 'as planned' if it can be
@@ -355,7 +197,7 @@ class PlanReport(OfPlan):
 
     """
 
-    source: Source
+    source: PlannedMotion
     motions: Mapping[str, Effect]
     used: Mapping[str, float]
     notes: tuple[Finding, ...] = ()
@@ -430,11 +272,11 @@ def plan(
     """
     source = plan_with_cup(path, settings, urdf, topic)
     bounds = limits_in(limits, source)
-    planned = _effect(source)
+    planned = source.effect(source.tool)
     if not seek_fastest:
         return _report(source, limits and bounds, {AS_PLANNED: planned})
     scale, tool, notes = _fastest(source)
-    fast = _effect(replace(source, tool=tool))
+    fast = source.effect(tool)
     fast = replace(fast, std={**fast.std, 'duration': scale.scale_std * source.duration})
     return _report(
         source, limits and bounds, {'fastest': fast, AS_PLANNED: planned}, notes, scale)
@@ -477,10 +319,10 @@ def steer_plan(
     if seek_fastest or limits or source.joints:
         scale, limit = bounding.first_allowed(search.limit_at, search.scales)
     steered = search.steered_at(scale)
-    motions = {'unchanged' if steered.method == 'none' else steered.method: _effect(
-        replace(source, tool=steered.tool))}
+    name = 'unchanged' if steered.method == 'none' else steered.method
+    motions = {name: source.effect(steered.tool)}
     with suppress(UnstableError):  # the package falls over as planned: the steered motion alone
-        motions[AS_PLANNED] = _effect(source)
+        motions[AS_PLANNED] = source.effect(source.tool)
     notes = _slowed(scale, limit)
     if steered.method == 'none':
         notes = (*notes, Finding('unshaped', Level.OK))
@@ -490,7 +332,7 @@ def steer_plan(
 class _SteeredSearch(NamedTuple):
     """The search for the time scale of a steered plan within limits."""
 
-    source: Source
+    source: PlannedMotion
     bounds: Limits
     method: str
     seek_fastest: bool
@@ -534,11 +376,11 @@ class _SteeredSearch(NamedTuple):
 
 
 def _report(
-    source: Source, limits: Any, motions: Mapping[str, Effect], *more: Any, **named: Any
+    source: PlannedMotion, limits: Any, motions: Mapping[str, Effect], *more: Any, **named: Any
 ) -> PlanReport:
     """Return the report on motions, with the used parts of limits, if any, by the first motion."""
     first = next(iter(motions.values()))
-    used = _used(source, limits, first.source.tool, first.prediction.smallest_safety[0]) if (
+    used = _used(source, limits, first.tool, first.prediction.smallest_safety[0]) if (
         limits) else {}
     return PlanReport(source, motions, used, *more, **named)
 
@@ -548,27 +390,7 @@ def _slowed(scale: float, limit: str) -> tuple[Finding, ...]:
     return (Finding('slowed', Level.OK, {'scale': scale, 'limit': limit}),) if limit else ()
 
 
-def _effect(source: Source) -> Effect:
-    """Predict the package along a motion, with standard deviations."""
-    run = PlanSimulation(source.model, source.grip, source.tool)
-    prediction = run.predict()
-
-    def figures(changed: ModelTuple) -> Array:
-        numbers = run.with_model(changed).predict().summary()
-        numbers['settled_after'] = min(numbers['settled_after'], MAX_TAIL)  # discontinuous there
-        return np.nan_to_num([*numbers.values()], nan=np.nan, posinf=0.0)  # a pressed cup
-
-    std = {name: deviation if math.isfinite(value) else math.nan for (name, value), deviation in
-           zip(prediction.summary().items(), source.deviations(figures).tolist(), strict=True)}
-    rms = math.sqrt(mean_square(
-        conversion.uncertain_of(source.values), source.model,
-        lambda changed: run.with_model(changed).predict().residual_swing))
-    if prediction.ends_at_rest and rms > 2.0 * prediction.residual_swing:
-        std['swing_left'] = rms  # near zero, where the swing has no slope
-    return Effect(source, prediction, {'duration': 0.0, **std})
-
-
-def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
+def _fastest(source: PlannedMotion) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
     """Return the shortest safe time, its motion, and the limit of a joint that needs longer."""
     _require_searchable(source)
     assert source.grip is not None
@@ -586,18 +408,18 @@ def _fastest(source: Source) -> tuple[Fastest, Trajectory, tuple[Finding, ...]]:
     return found, tool, _slowed(float(tool.seconds[-1]) / source.duration, limit)
 
 
-def _require_searchable(source: Source) -> None:
+def _require_searchable(source: PlannedMotion) -> None:
     """Raise for a plan whose shortest safe time is unknown."""
     why = ''
     if source.grip is None:
         why = text(Finding('no_factor'))
-    elif not (source.begins_at_rest and simulation.stands(np.asarray(source.tool.twist)[-1])):
+    elif not all(map(simulation.stands, np.asarray(source.tool.twist)[[0, -1]])):
         why = 'The plan begins or ends in motion. Give a plan from rest to rest.'
     if why:
         raise BellowsError(f'The shortest safe time cannot be found. {why}')
 
 
-def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
+def limits_in(limits: File | Mapping[str, object], source: PlannedMotion) -> Limits:
     """Return the limits in a YAML file, or in its content; '' for none."""
     bounds = bounding.read_limits(
         limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
@@ -612,7 +434,9 @@ def limits_in(limits: File | Mapping[str, object], source: Source) -> Limits:
     return bounds
 
 
-def _used(source: Source, limits: Limits, tool: Trajectory, factor: float) -> dict[str, float]:
+def _used(
+    source: PlannedMotion, limits: Limits, tool: Trajectory, factor: float
+) -> dict[str, float]:
     """Return the used part of each limit by a motion with a smallest safety factor."""
     parts = bounding.used_parts(limits, tool, factor)
     if joints := source.joints:
@@ -621,44 +445,22 @@ def _used(source: Source, limits: Limits, tool: Trajectory, factor: float) -> di
     return parts
 
 
-def outside_finding(ranges: Sequence[str]) -> Finding:
-    """Return the finding on exceeded validity ranges."""
-    return Finding('outside', Level.WARN, {'ranges': '; '.join(ranges)})
-
-
-def bending(R_world_tool: Array, R_world_lip: Array) -> Array:
-    """Return the angles (N,) in rad between the z axes of tool and lip."""
-    z_tool, z_lip = R_world_tool[:, :, 2], R_world_lip[:, :, 2]
-    sine = np.linalg.norm(np.cross(z_tool, z_lip), axis=1)
-    return np.asarray(np.arctan2(sine, np.sum(z_tool * z_lip, axis=1)))
-
-
-def smallest_margin(
-    values: Values, model: ModelTuple, tool: Trajectory, package: Trajectory, seconds: Array
-) -> Margin | None:
-    """Return the smallest safety factor of a motion at its times (N,), s; None if unknown."""
-    if (grip := conversion.grip_of(values)) is None:
-        return None
-    rows = map(simulation.tool_rows, (tool, package))
-    return margin(grip, factors_along(model, grip, *rows), seconds)
-
-
 # -------------------------------------------------------------------------------------- reading
 
 
 def plan_with_cup(
     path: MotionSource, settings: Mapping[str, Any], urdf: str = '', topic: str = ''
-) -> Source:
+) -> PlannedMotion:
     """Return a plan, with a package in the parameters; see `plan`."""
     values = checks.resolve(settings, checks.PACKAGE_PARAMETERS)
     conversion.box_of(values)  # refused before the work
     require_types(motion=(path, str, os.PathLike, Trajectory))
     if isinstance(path, Trajectory):
-        return Source(_checked_motion(path, path.twist), '', values)
+        return PlannedMotion(_checked_motion(path, path.twist), '', values)
     return read_plan(path, values, urdf, topic)
 
 
-def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> Source:
+def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> PlannedMotion:
     """
     Return the plan in a file, from recording.start to recording.end; see `plan`.
 
@@ -690,7 +492,7 @@ def read_plan(path: File, values: Values, urdf: str = '', topic: str = '') -> So
     return replace(source, tool=tool, path=os.fspath(path))
 
 
-def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
+def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> PlannedMotion:
     """Return the whole plan in a file, the first of several with a note."""
     kind = file.suffix.lower()
     if topic and kind in (*YAML, *TEXT):
@@ -698,7 +500,7 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
             f"The topic is '{topic}', but '{file}' is no recording and has none. Leave it out.")
     if kind in TEXT:
         tool = plan_of(*read_tum(file), name=f"'{file}'").trajectory()
-        return Source(at_tip(tool, conversion.tip_of(values)), '', values)
+        return PlannedMotion(at_tip(tool, conversion.tip_of(values)), '', values)
     if kind in YAML:
         content = safe_yaml.load(file)
         if isinstance(content, Mapping) and 'kind' in content:
@@ -721,16 +523,16 @@ def _read_plan(file: Path, values: Values, urdf: str, topic: str) -> Source:
 
 def _source_of_plan(
     read: plans.Plan, values: Values, urdf: str, recording: Any,
-) -> Source:
+) -> PlannedMotion:
     """Return a plan of points of the tool or of an arm's joints."""
     arm = plans.arm_of(urdf, values.tool_link, recording) if read.kind == plans.JOINTS else None
     start_ns = read.stamp_ns or START_NS
     tool, joints = plans.motion_of(read, values, arm, start_ns)
-    return Source(
+    return PlannedMotion(
         tool, arm.root if arm else read.frame_id, values, joints=joints, start_ns=start_ns)
 
 
-def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
+def _source_of_motion(content: Mapping[str, Any], values: Values) -> PlannedMotion:
     """Return the tool's motion in a motion file."""
     recipe = read_recipe(content, np.array(values.package.com))
     R_world_level = alignment.levelling(values.gravity.direction).T  # z of a motion file is up
@@ -739,7 +541,7 @@ def _source_of_motion(content: Mapping[str, Any], values: Values) -> Source:
     stamps = START_NS + np.round(
         np.linspace(0.0, motion.duration, count + 1) * NS_PER_S).astype(np.int64)
     tool = alignment.in_world(motion.trajectory(stamps, START_NS), R_world_level)
-    return Source(_checked_motion(tool, tool.twist), recipe.frame_id, values)
+    return PlannedMotion(_checked_motion(tool, tool.twist), recipe.frame_id, values)
 
 
 def _checked_motion(
@@ -751,7 +553,7 @@ def _checked_motion(
                    name=name, given=given).trajectory()
 
 
-def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> Source:
+def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> PlannedMotion:
     """Return the tool's motion in a recording of poses or joints."""
     wanted = {'tool_pose': topic or values.topics.tool_pose,
               'tool_twist': values.topics.tool_twist}
@@ -773,7 +575,7 @@ def _source_of_recording(path: Path, values: Values, urdf: str, topic: str) -> S
     motion, rates, axes = _with_rates(poses.trajectory(), twists, axes)
     tool = at_tip(_checked_motion(motion, rates, axes, f"Poses '{poses.name}'", bool(twists)),
                   conversion.tip_of(values))
-    return Source(tool, poses.frame_id, values, notes=notes, recorded_ns=poses.stamps_ns)
+    return PlannedMotion(tool, poses.frame_id, values, notes=notes, recorded_ns=poses.stamps_ns)
 
 
 def _with_rates(
@@ -798,7 +600,7 @@ def _with_rates(
 
 
 def write_prediction(
-    path: File, source: Source, tool: Trajectory, states: Array, replace_bag: bool = False
+    path: File, source: PlannedMotion, tool: Trajectory, states: Array, replace_bag: bool = False
 ) -> None:
     """
     Write a motion of the tool, and of the package, as a recording.
@@ -811,7 +613,7 @@ def write_prediction(
     ----------
     path : path
         Folder to make.
-    source : Source
+    source : PlannedMotion
         Plan with the frame and parameters of the motion.
     tool : Trajectory
         Motion of E, with body twists.

@@ -29,6 +29,7 @@ from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.table import PARAMETERS
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.planning.effect import smallest_margin
 from bellows_ros.core.recording.alignment import in_world, pose_of, world_rotation
 from bellows_ros.core.recording.recording import (
     LOW_RATE_HZ,
@@ -44,7 +45,6 @@ from bellows_ros.files import detections, File, results
 from bellows_ros.report.findings import text, warnings
 from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.holds import signals_of
-from bellows_ros.workflows.plan import smallest_margin
 from bellows_ros.workflows.recordings import (
     checked,
     estimate_finding,
@@ -206,8 +206,8 @@ class Replay(CommandResult):
     def margin(self) -> Margin | None:
         """Smallest safety factor of the grip in the free simulation; None if unknown."""
         free = self.validation
-        return smallest_margin(self.values, free.model, free.tool, free.package,
-                               self.recording.since_start(free.tool.stamps_ns))
+        return smallest_margin(conversion.grip_of(self.values), free.model, free.tool,
+                               free.package, self.recording.since_start(free.tool.stamps_ns))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""

@@ -17,9 +17,11 @@ from bellows_ros.core.model.grip import Margin
 from bellows_ros.core.model.kernels import ModelTuple
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.model.validity_range import flip_finding
+from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, package_of, tip_of
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.planning.effect import bending, smallest_margin
 from bellows_ros.core.recording.alignment import in_world, levelling
 from bellows_ros.core.signals import screening
 from bellows_ros.core.signals.trajectory import from_tip, NS_PER_S, pose_rows, Trajectory
@@ -29,7 +31,7 @@ from bellows_ros.core.synthetic.recipe import generator, read_recipe, Recipe
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bags, File, messages
 from bellows_ros.report.findings import warnings
-from bellows_ros.workflows.plan import bending, read_plan, smallest_margin
+from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
@@ -141,7 +143,7 @@ def simulate_recording(
         bag, truth_file, recipe.motion.duration,
         {messages.topic: len(messages.stamps_ns) for messages in recorded}, angle,
         float(truth.tool.seconds[worst]), warnings(filter(None, [flip_finding(angle)])),
-        smallest_margin(values, model, *truth, truth.tool.seconds))
+        smallest_margin(conversion.grip_of(values), model, *truth, truth.tool.seconds))
 
 
 class Truth(NamedTuple):

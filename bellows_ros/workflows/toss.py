@@ -16,6 +16,7 @@ from bellows_ros.core.model.validity_range import flip_finding, outside_loads
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.planning.effect import bending
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.core.synthetic.motion import sample_stamps
 from bellows_ros.core.toss import landing, release_fit
@@ -60,7 +61,7 @@ class Share(NamedTuple):
 class TossResult(plan.OfPlan):
     """A toss of a plan, with all requested results."""
 
-    source: plan.Source
+    source: plan.PlannedMotion
     case: landing.TossProblem
     toss: Toss
     scatter: landing.Scatter
@@ -148,7 +149,7 @@ class TossResult(plan.OfPlan):
         before = held.times <= self.toss.release_time
         R_tool, R_package = (
             quaternion_to_rotation(rows[before, 3:7]) for rows in (held.tools, held.states))
-        if flip := flip_finding(float(plan.bending(R_tool, R_package).max())):
+        if flip := flip_finding(float(bending(R_tool, R_package).max())):
             found.append(flip)
         if self.mode == 'delay' and not self.source.values.release.opening:
             found.append(Finding('no_factor'))
@@ -158,7 +159,7 @@ class TossResult(plan.OfPlan):
                 'longest': conversion.MAX_DELAY, 'speed': speed,
                 'shift': conversion.MAX_DELAY * speed}))
         if outside := self._outside():
-            found.append(plan.outside_finding(outside))
+            found.append(Finding('outside', Level.WARN, {'ranges': '; '.join(outside)}))
         if self.aim and not self.succeeded:
             found.append(Finding('out_of_reach', Level.WARN, {'distance': self.aim.distance}))
         return tuple(found)
