@@ -2,8 +2,8 @@
 The command `bellows`: the package from a shell, without ROS.
 
 The commands are functions whose docstring is the help of the command. They import their work when
-called, so that help and completion answer at once, and return an `Outcome`, which is written and
-printed here.
+called, so that help and completion answer at once, and return a `CommandOutcome`, which is written
+and printed here.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -45,7 +45,7 @@ DEFAULTS: Mapping[str, Any] = {
 """Values of options that some commands lack."""
 
 
-class Outcome(NamedTuple):
+class CommandOutcome(NamedTuple):
     """Result of a command, the function that prints the result, and the next steps."""
 
     show: Callable[['Console'], None]
@@ -148,9 +148,9 @@ PLAN_OPTIONS = (
 
 def command(
     *options: Any, name: str = ''
-) -> Callable[[Callable[[Any, 'Console'], Outcome]], click.Command]:
+) -> Callable[[Callable[[Any, 'Console'], CommandOutcome]], click.Command]:
     """Register a function of options and console as a command of its name."""
-    def register(work: Callable[[Any, 'Console'], Outcome]) -> click.Command:
+    def register(work: Callable[[Any, 'Console'], CommandOutcome]) -> click.Command:
         def call(**given: Any) -> int:
             return run_command(work, SimpleNamespace(**{**DEFAULTS, **given}))
 
@@ -169,7 +169,7 @@ def command(
     source('bag'), PARAMS, SET, FROM, TO, output('--write-params', help=(
         'write a parameter file for this recording, for bellows identify and the nodes')),
     FORCE, JSON)
-def info(arguments: Any, console: 'Console') -> Outcome:
+def info(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     List the topics of a recording, and guess which is the tool.
 
@@ -193,7 +193,7 @@ def info(arguments: Any, console: 'Console') -> Outcome:
     if arguments.write_params:
         write_text(arguments.write_params, cell_file(result))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
-    return Outcome(partial(print_info, result, file=arguments.write_params), result, (
+    return CommandOutcome(partial(print_info, result, file=arguments.write_params), result, (
         'Fill in the package there, then:',
         f'  bellows identify --params {arguments.write_params} --out cup.yaml{cell}',
     ) if arguments.write_params else ())
@@ -215,7 +215,7 @@ def info(arguments: Any, console: 'Console') -> Outcome:
         'tcp://host:8786; the workers must see the recordings under the same paths')),
     click.option('--release', is_flag=True, help=(
         "identify release.* instead, from drops with a given cup; the valve is 'topics.valve'")))
-def identify(arguments: Any, console: 'Console') -> Outcome:
+def identify(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     Identify a cup's stiffness K and damping P from recordings.
 
@@ -254,7 +254,7 @@ def identify(arguments: Any, console: 'Console') -> Outcome:
     if not (result.succeeded or arguments.force and result.fit.usable):
         arguments.out = arguments.out_cell = ''
     save(result, arguments.out, '', arguments.force, arguments.out_cell)
-    return Outcome(partial(print_identification, result), result, then)
+    return CommandOutcome(partial(print_identification, result), result, then)
 
 
 def _next_steps(arguments: Any, result: Any) -> tuple[str, ...]:
@@ -288,7 +288,7 @@ def _replay_of(*params: 'File') -> str:
         word for file in params for word in ('--params', str(file)))])
 
 
-def _identify_release(arguments: Any, console: 'Console') -> Outcome:
+def _identify_release(arguments: Any, console: 'Console') -> CommandOutcome:
     """Identify the valve and write."""
     if excluded := [f'--{name}' for name in ('report', 'jobs', 'dask', 'plot')
                     if getattr(arguments, name)]:
@@ -302,7 +302,7 @@ def _identify_release(arguments: Any, console: 'Console') -> Outcome:
         read_settings(arguments, 'identifier', console), console.progress)
     if arguments.out:
         write_parameters(arguments.out, result.fit.parameters())
-    return Outcome(partial(print_release, result), result)
+    return CommandOutcome(partial(print_release, result), result)
 
 
 @command(
@@ -310,7 +310,7 @@ def _identify_release(arguments: Any, console: 'Console') -> Outcome:
     option('--observe', 'TOPIC', 'poses of the package that correct a second live prediction'),
     option('--limit', 'PERCENT', 'exit with 1 if the NRMSE of an axis that moves is above this',
            type=float, default=None))
-def replay(arguments: Any, console: 'Console') -> Outcome:
+def replay(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     Predict a recording with a cup, and report the errors.
 
@@ -337,7 +337,7 @@ def replay(arguments: Any, console: 'Console') -> Outcome:
                      arguments.observe)
     if arguments.limit is not None:
         result = replace(result, limit=arguments.limit / 100.0)
-    return Outcome(partial(print_replay, result), result)
+    return CommandOutcome(partial(print_replay, result), result)
 
 
 @command(
@@ -348,7 +348,7 @@ def replay(arguments: Any, console: 'Console') -> Outcome:
         'motion of the tool as a plan, see bellows plan; --motion then states the sensors alone')),
     output('--out', kind=Folder, metavar='BAG', required=True, help='recording to write'),
     FORCE, JSON)
-def simulate(arguments: Any, console: 'Console') -> Outcome:
+def simulate(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     Simulate a recording of a given cup.
 
@@ -368,7 +368,7 @@ def simulate(arguments: Any, console: 'Console') -> Outcome:
     report = simulate_recording(
         read_settings(arguments, cup_for=console), load(arguments.motion), arguments.out,
         console.progress, arguments.force, arguments.plan or '')
-    return Outcome(partial(print_simulation, report), report)
+    return CommandOutcome(partial(print_simulation, report), report)
 
 
 @command(
@@ -376,7 +376,7 @@ def simulate(arguments: Any, console: 'Console') -> Outcome:
     click.option('--yaml', is_flag=True, help='print a parameter file to fill in'),
     output('--mjcf', help='write cup and package of --params as a model for MuJoCo (MJCF)'),
     PARAMS, SET, JSON)
-def parameters(arguments: Any, console: 'Console') -> Outcome:
+def parameters(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     List all parameters, or write a file to fill in.
 
@@ -405,11 +405,11 @@ def parameters(arguments: Any, console: 'Console') -> Outcome:
     if arguments.yaml:
         click.echo(template(chosen), nl=False)
     shown_here = [] if arguments.yaml or arguments.json else chosen
-    return Outcome(partial(print_parameters, shown_here), {
+    return CommandOutcome(partial(print_parameters, shown_here), {
         p.name: {**asdict(p), 'constraint': p.constraint} for p in chosen})
 
 
-def _mjcf(arguments: Any, console: 'Console') -> Outcome:
+def _mjcf(arguments: Any, console: 'Console') -> CommandOutcome:
     """Write the model for MuJoCo, and warn of the properties that it lacks."""
     from bellows_ros.core.parameters import checks, conversion
     from bellows_ros.files import atomic, mjcf
@@ -420,7 +420,7 @@ def _mjcf(arguments: Any, console: 'Console') -> Outcome:
     atomic.write_text(arguments.mjcf, text)
     if lacking:
         console.warn(f'The model lacks {", ".join(lacking)}.')
-    return Outcome(lambda out: None, {'file': arguments.mjcf, 'not_expressed': lacking})
+    return CommandOutcome(lambda out: None, {'file': arguments.mjcf, 'not_expressed': lacking})
 
 
 @command(
@@ -434,7 +434,7 @@ def _mjcf(arguments: Any, console: 'Console') -> Outcome:
     files('--limits', help=(
         'limits of the arm: their used parts are printed, and --steer slows down to meet them; '
         'config/limits_example.yaml explains them')))
-def plan(arguments: Any, console: 'Console') -> Outcome:
+def plan(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     Predict the package during a planned motion of the tool.
 
@@ -468,7 +468,7 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
         workflow.write_prediction(
             arguments.out, result.source, result.result.tool, result.prediction.states,
             arguments.force)
-    return Outcome(partial(print_plan, result), result)
+    return CommandOutcome(partial(print_plan, result), result)
 
 
 @command(
@@ -477,7 +477,7 @@ def plan(arguments: Any, console: 'Console') -> Outcome:
            type=float, default=None),
     option('--target', 'X Y', 'find the time of release for a landing here, m in the world',
            type=float, nargs=2, default=None))
-def toss(arguments: Any, console: 'Console') -> Outcome:
+def toss(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     Predict where a tossed package lands, and how accurately.
 
@@ -501,7 +501,7 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
         arguments.target, console.progress, str(arguments.urdf or ''), arguments.topic)
     if arguments.out:
         write_toss(arguments.out, result, arguments.force)
-    return Outcome(partial(print_toss, result), result)
+    return CommandOutcome(partial(print_toss, result), result)
 
 
 @command(
@@ -512,7 +512,7 @@ def toss(arguments: Any, console: 'Console') -> Outcome:
     click.option('--storage', type=click.Choice(['mcap', 'sqlite3']), default='mcap',
                  help='storage of the recording'),
     FORCE, JSON)
-def convert(arguments: Any, console: 'Console') -> Outcome:
+def convert(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     Make a recording from files of Motive or TUM.
 
@@ -530,7 +530,7 @@ def convert(arguments: Any, console: 'Console') -> Outcome:
     console.progress('converting')
     done = workflow.convert(
         arguments.sources, arguments.out, arguments.topic, arguments.storage, arguments.force)
-    return Outcome(partial(print_conversion, done), done, (
+    return CommandOutcome(partial(print_conversion, done), done, (
         'Next, check the recording:', f'  bellows info {done.out} --write-params my_cell.yaml'))
 
 
@@ -579,7 +579,7 @@ def read_settings(
     return values
 
 
-def run_command(work: Callable[[Any, 'Console'], Outcome], arguments: Any) -> int:
+def run_command(work: Callable[[Any, 'Console'], CommandOutcome], arguments: Any) -> int:
     """Check the outputs, work, write --json, print, name the written files; return the code."""
     from bellows_ros.core import configure_process
 

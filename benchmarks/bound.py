@@ -50,7 +50,7 @@ GIVEN = 'mass', 'com', 'inertia', 'length', 'package_marker', 'time_offset', 'cl
 """Given quantities with errors that a fit also estimates."""
 
 
-class Sensor(NamedTuple):
+class SensorNoise(NamedTuple):
     """Rate (Hz) and standard deviations (6,) of the poses of a body."""
 
     rate: float
@@ -91,7 +91,7 @@ def response(cup: Cup, package: Package, seconds: float, gravity: float) -> Arra
     return np.asarray(np.stack(columns, axis=2) / spectrum[:, None, None])
 
 
-def noise_spectrum(G: Array, tool: Sensor, package: Sensor, count: int) -> Array:
+def noise_spectrum(G: Array, tool: SensorNoise, package: SensorNoise, count: int) -> Array:
     """Return the covariance (count, 6, 6) of the differences at each frequency of the poses."""
     limit = int(tool.rate / 2.0 * count / package.rate)
     total = np.zeros((count, 6, 6), dtype=complex)
@@ -139,7 +139,7 @@ def jacobian(
 
 
 def bound_of(
-    values: Values, truth: Mapping[str, Array], tool: Sensor, package: Sensor
+    values: Values, truth: Mapping[str, Array], tool: SensorNoise, package: SensorNoise
 ) -> tuple[Array, Array]:
     """
     Return the bounds (4,) of K x, z, rx, rz and of P, SI units, with the errors of given values.
@@ -167,11 +167,11 @@ def bound_of(
     return K, P
 
 
-def sensors_of(path: Path, values: Values) -> tuple[Sensor, Sensor]:
+def sensors_of(path: Path, values: Values) -> tuple[SensorNoise, SensorNoise]:
     """Return the sensors of tool and package of a recording."""
     recording = load(path, values)
     tool, package = (
-        Sensor(float(1e9 / np.median(np.diff(poses.stamps_ns))), noise.std)
+        SensorNoise(float(1e9 / np.median(np.diff(poses.stamps_ns))), noise.std)
         for poses, noise in zip((recording.tool_pose, recording.package_pose),
                                 recording.body_noise, strict=True))
     return tool, package

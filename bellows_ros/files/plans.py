@@ -206,12 +206,14 @@ def _text(text: str) -> bytes:
 
 # ---------------------------------------------------------------------------------------- reading
 
-Row = Callable[[Any], tuple[float, ...]]
+RowOf = Callable[[Any], tuple[float, ...]]
 
 XYZ, XYZW = ('x', 'y', 'z'), ('x', 'y', 'z', 'w')
-TRANSFORM: Row = attrgetter(*(f'translation.{x}' for x in XYZ), *(f'rotation.{x}' for x in XYZW))
-POSE: Row = attrgetter(*(f'position.{x}' for x in XYZ), *(f'orientation.{x}' for x in XYZW))
-TWIST: Row = attrgetter(*(f'{part}.{x}' for part in ('linear', 'angular') for x in XYZ))
+TRANSFORM: RowOf = attrgetter(
+    *(f'translation.{x}' for x in XYZ), *(f'rotation.{x}' for x in XYZW))
+POSE: RowOf = attrgetter(
+    *(f'position.{x}' for x in XYZ), *(f'orientation.{x}' for x in XYZW))
+TWIST: RowOf = attrgetter(*(f'{part}.{x}' for part in ('linear', 'angular') for x in XYZ))
 
 
 def plans_of(message: Any) -> list[Plan]:
@@ -260,7 +262,7 @@ def _points(message: Any) -> Plan:
                 message.header.frame_id, names, times_ns, columns[0], *columns[1:])
 
 
-def _column(points: Sequence[Any], part: str, count: int, row: Row | None) -> Array | None:
+def _column(points: Sequence[Any], part: str, count: int, row: RowOf | None) -> Array | None:
     """Return a field of all points, None without the field; raise if some points lack it."""
     lists: list[Any] = [getattr(point, part, ()) for point in points]
     if not any(map(len, lists)):

@@ -17,7 +17,7 @@ COMPILING = 'Compiling (once a version): about 15 s.'
 """Announcement of the compiler; the processor time of `identify`, the longest of all commands."""
 
 
-class Progress:
+class ProgressBar:
     """One line with the stage, a bar and the remaining time, on a terminal alone."""
 
     _listens = False
@@ -30,7 +30,7 @@ class Progress:
             console=stream, transient=True, disable=not stream.is_terminal)
         self._task, self._is_shown = self._bar.add_task('', total=None), stream.is_terminal
 
-    def __enter__(self) -> 'Progress':
+    def __enter__(self) -> 'ProgressBar':
         """Begin the work; the line is shown with its first stage."""
         return self
 
@@ -60,7 +60,7 @@ class Console(Writer):
         Questions already printed about implausible values of package or cup.
     final_warnings : list of str
         Warnings printed after the work.
-    progress : Progress
+    progress : ProgressBar
         Progress of the work.
 
     """
@@ -68,7 +68,7 @@ class Console(Writer):
     def __init__(self) -> None:
         super().__init__(Stream(highlight=False))
         self._stderr = Stream(stderr=True, highlight=False)
-        self.progress = Progress(self._stderr)
+        self.progress = ProgressBar(self._stderr)
         self.asked: list[str] = []
         self.final_warnings: list[str] = []
 

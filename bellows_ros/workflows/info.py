@@ -136,7 +136,7 @@ class Guess(NamedTuple):
     frame: str = ''
 
 
-class Pair(NamedTuple):
+class BodyPair(NamedTuple):
     """
     A tool and its package.
 
@@ -313,7 +313,7 @@ def _with_roles(
 
 
 def _both_bodies(
-    pair: Pair | None, streams: Sequence[PoseStream], twist: TwistStream | None,
+    pair: BodyPair | None, streams: Sequence[PoseStream], twist: TwistStream | None,
     settings: dict[str, Any], findings: list[Finding]
 ) -> list[Finding]:
     """Add settings on both poses; return the findings."""
@@ -363,7 +363,7 @@ def _prepared_remarks(
 
 
 def _why_separate(
-    pair: Pair | None, tool: PoseStream, package: PoseStream
+    pair: BodyPair | None, tool: PoseStream, package: PoseStream
 ) -> Finding | None:
     """Return the finding on two worlds or two clocks of two topics, None if consistent."""
     frames = {'tool': tool.frame_id, 'package': package.frame_id}
@@ -384,7 +384,7 @@ def _why_separate(
 
 
 def _initial_rest(
-    pair: Pair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
+    pair: BodyPair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
 ) -> tuple[dict[str, Any], list[Finding]]:
     """
     Return the settings of the initial standstill, and findings.
@@ -426,7 +426,7 @@ def _name_reason(topic: str, words: frozenset[str]) -> tuple[str, ...]:
     return (f"its name contains '{there}'",) if there else ()
 
 
-def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
+def _pair_of(tool: PoseStream, package: PoseStream) -> BodyPair | None:
     """Return two topics as tool and package with the reasons; None without a common time."""
     first, last = common_span(tool, package)
     if last <= first:
@@ -462,7 +462,7 @@ def _pair_of(tool: PoseStream, package: PoseStream) -> Pair | None:
         why_tool.append(f"'{package.name}' hangs below it")
         why_package.insert(0, f"it starts {distance * 1e3:.0f} mm from '{tool.name}', along "
                            f"{'-z' if world == 'z_up' else '-y'}")
-    return Pair(
+    return BodyPair(
         Guess(tool.name, tuple(why_tool)), Guess(package.name, tuple(why_package)), world,
         distance, float(high - low), score)
 

@@ -31,7 +31,7 @@ from bellows_ros.core.model.cup_package import gravity_vector, Package, regresso
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.model.validity_range import Envelope
 from bellows_ros.core.recording.preparation import with_tool_earlier
-from bellows_ros.core.recording.recording import Noise, Recording
+from bellows_ros.core.recording.recording import PoseNoise, Recording
 from bellows_ros.core.signals.savgol import BLOCK
 from bellows_ros.core.signals.trajectory import Trajectory, uniform_rate_hz
 from bellows_ros.errors import BellowsError, UndeterminedError
@@ -68,7 +68,7 @@ class LipMotion(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class FilteredSamples:
     """
     Filtered motions of tool and package at the same stamps.
 
@@ -117,9 +117,9 @@ class Samples:
         return self.count / max(self.window * rate_hz, 1.0)
 
 
-def samples_of(recording: Recording) -> Samples:
+def samples_of(recording: Recording) -> FilteredSamples:
     """Return the filtered motions of a recording."""
-    return recording.cached('filtered samples', lambda: Samples(
+    return recording.cached('filtered samples', lambda: FilteredSamples(
         recording.tool, recording.package, recording.payload, recording.settings.gravity,
         recording.filters[1].weights.shape[1] / uniform_rate_hz(recording.package.stamps_ns)))
 
@@ -249,8 +249,8 @@ class Statistics(NamedTuple):
 
 
 def statistics(
-    samples: Samples, cup_length: float, structure: Structure,
-    noise: Sequence[tuple[Noise, Array]] = (),
+    samples: FilteredSamples, cup_length: float, structure: Structure,
+    noise: Sequence[tuple[PoseNoise, Array]] = (),
 ) -> Statistics:
     """
     Return the statistics of samples for a structure of K and P and a cup length l0, m.
@@ -270,7 +270,7 @@ def statistics(
 
 
 def lip_noise(
-    noise: Sequence[tuple[Noise, Array]], payload: Package, cup_length: float
+    noise: Sequence[tuple[PoseNoise, Array]], payload: Package, cup_length: float
 ) -> Array:
     """Return the variances (2, 6) of the noise in displacement and twist of the lip."""
     variances = np.zeros((2, 6))

@@ -53,7 +53,7 @@ DRAW_SEED = 0
 """Seed of the added noise, fixed for reproducible results."""
 
 
-class Run(NamedTuple):
+class FreeRun(NamedTuple):
     """
     A free simulation of a segment.
 
@@ -144,7 +144,7 @@ class Validation(residuals.Comparison):
         Simulated cup.
     recording : Recording
         Recording.
-    runs : tuple of Run
+    runs : tuple of FreeRun
         Simulations of the segments.
     findings : tuple of Finding
         Gaps of the tool.
@@ -153,7 +153,7 @@ class Validation(residuals.Comparison):
 
     cup: Cup
     recording: Recording
-    runs: tuple[Run, ...]
+    runs: tuple[FreeRun, ...]
     findings: tuple[Finding, ...]
 
     @cached_property
@@ -292,7 +292,7 @@ def _segments_of(poses: Trajectory, recording: Recording) -> list[Trajectory]:
     return [poses.between(span.first_ns, span.last_ns) for span in spans] or [poses]
 
 
-def _run(cup: Cup, recording: Recording, poses: Trajectory, is_first: bool) -> Run:
+def _run(cup: Cup, recording: Recording, poses: Trajectory, is_first: bool) -> FreeRun:
     """Return the free simulation of a segment."""
     payload, gravity = recording.payload, recording.settings.gravity
     tool = recording.cached(
@@ -301,11 +301,11 @@ def _run(cup: Cup, recording: Recording, poses: Trajectory, is_first: bool) -> R
     model = model_tuple(cup, payload, gravity)
     state, begin, start = _start(model, tool, recording, is_first)
     tool = resample(tool, np.append(begin, tool.stamps_ns[tool.stamps_ns > begin]))
-    return Run(tool, simulate(cup, payload, tool, state, gravity), state, start)
+    return FreeRun(tool, simulate(cup, payload, tool, state, gravity), state, start)
 
 
 def _compared(
-    recording: Recording, run: Run, first: int, last: int
+    recording: Recording, run: FreeRun, first: int, last: int
 ) -> residuals.Comparison:
     """Return the comparison of a free simulation with the measured poses of the package."""
     measured = recording.tracked_package.between(

@@ -11,7 +11,7 @@ from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.core.parameters import table
-from bellows_ros.core.parameters.table import Kind, Parameter, Value
+from bellows_ros.core.parameters.table import Parameter, Value, ValueKind
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError, NotSetError, shown
 import numpy as np
@@ -379,7 +379,7 @@ class Settings:
         """Return an error on a setting, with file and line before the message."""
         return BellowsError(self._where(tuple(self.name(name).split('.'))) + message)
 
-    def _get(self, name: str, default: object, kind: Kind, **constraint: Any) -> Any:
+    def _get(self, name: str, default: object, kind: ValueKind, **constraint: Any) -> Any:
         """Return a given setting or its default, checked like a parameter."""
         self._asked.append(name)
         value = self._values.get(name, default)

@@ -18,7 +18,7 @@ from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.errors import BellowsError, shown
 import numpy as np
 
-Kind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
+ValueKind = Literal['bool', 'integer', 'double', 'string', 'double_array', 'string_array']
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
 MIN_SIMILARITY = 0.75
@@ -65,7 +65,7 @@ class Parameter:
     default: Value | None = None
     unit: str = ''
     used_by: tuple[str, ...] = ('identifier', 'predictor')
-    kind: Kind = 'string'
+    kind: ValueKind = 'string'
     minimum: float | None = None
     maximum: float | None = None
     above: float | None = None
@@ -103,7 +103,7 @@ class Parameter:
         return f'default {str(default).lower() if isinstance(default, bool) else repr(default)}'
 
 
-_KIND_MESSAGES: Mapping[Kind, str] = {
+_KIND_MESSAGES: Mapping[ValueKind, str] = {
     'bool': 'true or false', 'integer': 'an integer', 'double': 'a number', 'string': 'a string',
     'double_array': 'a list of {}numbers', 'string_array': 'a list of strings'}
 

@@ -80,7 +80,7 @@ class PlanSettings(NamedTuple):
             np.linalg.norm(parts, axis=0) if len(parts) else 0.0 * compute(self.model))
 
 
-class Move(NamedTuple):
+class PredictedMove(NamedTuple):
     """A move of the tool between two standstills, s, and the least factor until the next move."""
 
     begin: float
@@ -183,7 +183,7 @@ class Effect:
         return loads
 
     @cached_property
-    def moves(self) -> tuple[Move, ...]:
+    def moves(self) -> tuple[PredictedMove, ...]:
         """Moves between standstills of the tool, with their least safety factors."""
         speeds = np.linalg.norm(np.asarray(self.tool.twist).reshape(-1, 2, 3), axis=2)
         moving, t = np.flatnonzero((speeds > STILL).any(axis=1)), self.tool.seconds
@@ -193,9 +193,8 @@ class Effect:
         begins, ends = moving[np.append(0, stops + 1)], moving[np.append(stops, -1)]
         loads = self.with_peaks(t, self.prediction.loads).max(axis=1)
         largest, t = np.maximum.reduceat(loads, begins), t + self.begin
-        return tuple(
-            Move(begin, end, 1.0 / load if load > 0.0 else math.inf) for begin, end, load in zip(
-                t[begins].tolist(), t[ends].tolist(), largest.tolist(), strict=True))
+        factors = [1.0 / load if load > 0.0 else math.inf for load in largest.tolist()]
+        return tuple(map(PredictedMove, t[begins].tolist(), t[ends].tolist(), factors))
 
     @property
     def drawn(self) -> tuple[float, float]:

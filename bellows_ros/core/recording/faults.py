@@ -15,9 +15,10 @@ from . import pose_faults, prepared_faults
 from .pose_faults import RecordedPoses
 from .recording import Recording
 
-Row = tuple[Callable[[Any], Iterable[Finding]], ...]
+Checks = tuple[Callable[[Any], Iterable[Finding]], ...]
+"""Functions that yield findings on a case."""
 
-OF_POSES: tuple[Row, ...] = (
+OF_POSES: tuple[Checks, ...] = (
     (pose_faults.clock_steps, pose_faults.frozen_orientations, pose_faults.swapped_bodies,
      pose_faults.fixed_packages),
     (pose_faults.wrong_conventions,),
@@ -26,7 +27,7 @@ OF_POSES: tuple[Row, ...] = (
      pose_faults.impossible_packages))
 """Checks of `RecordedPoses`."""
 
-OF_RECORDING: tuple[Row, ...] = (
+OF_RECORDING: tuple[Checks, ...] = (
     (prepared_faults.clocks_apart,),
     (prepared_faults.misplaced,),
     (prepared_faults.turned_frames,),
@@ -45,7 +46,7 @@ def recording_remarks(recording: Recording) -> tuple[Finding, ...]:
 
 
 def _remarks(
-    rows: Sequence[Row], streams: tuple[PoseStream, PoseStream], case: Any
+    rows: Sequence[Checks], streams: tuple[PoseStream, PoseStream], case: Any
 ) -> Iterator[Finding]:
     """Yield the findings of checks on a case, with the names of the topics in question."""
     tool, package = (stream.name for stream in streams)

@@ -26,7 +26,14 @@ import numpy as np
 
 from .alignment import aligned_at_rest, Alignment, in_world, rest_of, standstill
 from .outliers import find_outliers, increments_of, LastingStep, Outliers
-from .recording import Filter, LOW_RATE_HZ, PrepareSettings, Recording, Report, StreamReport
+from .recording import (
+    Filter,
+    LOW_RATE_HZ,
+    PrepareSettings,
+    Recording,
+    RecordingReport,
+    StreamReport,
+)
 
 AUTOMATIC_HALF_WINDOW = 1 / 12
 """Default half window of the filter, s. With order 6 the filter reduces K and P of a cup shaken at
@@ -92,7 +99,8 @@ def prepare(
     remarks = [*remarks_on(of_tool), *remarks_on(of_package)]
     if as_they_are:
         remarks += rest_of(tool_poses, package_poses).remarks
-    report = Report(of_tool, of_package, (*remarks, *_alignment_remarks(alignment, settings)))
+    report = RecordingReport(
+        of_tool, of_package, (*remarks, *_alignment_remarks(alignment, settings)))
     return _joined(Recording(
         settings, tool, package, tool_twist, filters, *aligned,
         aligned[1] if of_package.timing.uniform and settings.tag is None else (

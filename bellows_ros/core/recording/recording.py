@@ -64,7 +64,7 @@ MIN_CORRELATION = 0.2
 """Smallest correlation of neighbours that counts as memory of the noise."""
 
 
-class Noise(NamedTuple):
+class PoseNoise(NamedTuple):
     """Standard deviation per axis of white noise: position (m) and rotation vector (rad)."""
 
     position: float
@@ -164,7 +164,7 @@ def _clipped(residuals: Array) -> Array:
     return np.clip(residuals, -limit, limit)
 
 
-def noise_of(poses: Trajectory) -> Noise:
+def noise_of(poses: Trajectory) -> PoseNoise:
     """
     Estimate the white noise of poses at a uniform rate.
 
@@ -173,8 +173,8 @@ def noise_of(poses: Trajectory) -> Noise:
     UndeterminedError.
     """
     scale = resampling.MAD_TO_STD / np.sqrt(ripple_part(0.0))  # the centre is part of the fit
-    return Noise(*(float(scale * np.median(part))
-                   for part in np.hsplit(np.abs(ripple(poses)[0]), 2)))
+    return PoseNoise(*(float(scale * np.median(part))
+                       for part in np.hsplit(np.abs(ripple(poses)[0]), 2)))
 
 
 class AR1Noise(NamedTuple):
@@ -185,7 +185,7 @@ class AR1Noise(NamedTuple):
 
 
 def ar1_noise_of(
-    poses: Trajectory, noise: Noise, still: Trajectory
+    poses: Trajectory, noise: PoseNoise, still: Trajectory
 ) -> tuple[AR1Noise, AR1Noise]:
     """
     Return the noise of positions (m) and of rotations (rad) of poses at a uniform rate.
@@ -373,7 +373,7 @@ class TimeOffset(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class RecordingReport:
     """
     The report on a recording.
 
@@ -470,7 +470,7 @@ class Recording:
         poses of a slow camera is unknown.
     alignment : Alignment
         Transformations from the recorded frames to E and B.
-    report : Report
+    report : RecordingReport
         Omitted data, and the reasons.
     name : str
         Path of a rosbag2 folder or file as given by the user; '' without a file.
@@ -492,7 +492,7 @@ class Recording:
     measured_package: Trajectory
     tracked_package: Trajectory
     alignment: Alignment
-    report: Report
+    report: RecordingReport
     name: str = ''
     digest: str = ''
     files: tuple[Mapping[str, Any], ...] = ()
@@ -569,7 +569,7 @@ class Recording:
             and self.measured_package.valid[span.samples].any())
 
     @cached_property
-    def noise(self) -> tuple[Noise, Noise]:
+    def noise(self) -> tuple[PoseNoise, PoseNoise]:
         """White noise of the measured poses of tool and package, each at its own stamps."""
         return noise_of(self.aligned_tool), noise_of(self.aligned_package)
 

@@ -13,7 +13,7 @@ from bellows_ros.core.geometry.lie import exp_so3, log_so3, mean_rotation
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.model.structure import RELAXATION_TIMES
 from bellows_ros.core.model.validity_range import Envelope
-from bellows_ros.core.recording.recording import Noise, PrepareSettings, Recording
+from bellows_ros.core.recording.recording import PoseNoise, PrepareSettings, Recording
 from bellows_ros.core.signals.residuals import relative_coordinates
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError
@@ -22,7 +22,7 @@ import numpy as np
 MIN_DURATION = 0.5
 """Shortest standstill, s."""
 
-MAX_MOTION = Noise(1.5e-4, 1.5e-3)
+MAX_MOTION = PoseNoise(1.5e-4, 1.5e-3)
 """Largest difference of block means of a body at rest, without noise, m and rad."""
 
 NOISE_DEVIATIONS = 5.0
@@ -54,7 +54,7 @@ class Standstill:
         One pose each: the means of E and B in the world.
     samples : int
         Number of averaged package poses.
-    error : Noise
+    error : PoseNoise
         Standard error of the relative pose, m and rad per axis.
     payload : Package
         Package on the cup.
@@ -73,7 +73,7 @@ class Standstill:
     tool: Trajectory
     package: Trajectory
     samples: int
-    error: Noise
+    error: PoseNoise
     payload: Package
     creep: Array = field(default_factory=lambda: np.zeros(6))
     gravity: float = 9.81
@@ -125,7 +125,8 @@ def standstills_of(recording: Recording) -> tuple[tuple[Standstill, ...], int]:
 
 
 def _standstill(
-    tool: Trajectory, package: Trajectory, noise: tuple[Noise, Noise], settings: PrepareSettings
+    tool: Trajectory, package: Trajectory, noise: tuple[PoseNoise, PoseNoise],
+    settings: PrepareSettings,
 ) -> Standstill:
     """
     Return a standstill from its samples.
@@ -151,17 +152,17 @@ def _standstill(
     return replace(
         mean, package=Trajectory(
             hanging.stamps_ns, at_rest.position + R @ rest[:3], (R @ exp_so3(rest[3:]))[None]),
-        error=Noise(*(spread[0] * np.array(error))), creep=-creep)
+        error=PoseNoise(*(spread[0] * np.array(error))), creep=-creep)
 
 
 def _spans_at_rest(
-    bodies: Sequence[Trajectory], noise: Sequence[Noise], blocks: list[Stamps]
+    bodies: Sequence[Trajectory], noise: Sequence[PoseNoise], blocks: list[Stamps]
 ) -> list[Stamps]:
     """Return the samples of every standstill of all bodies, in the order of time."""
     stamps = bodies[0].stamps_ns
     means = [_means(body, blocks) for body in bodies]
     factor = NOISE_DEVIATIONS / np.sqrt(np.median([len(block) for block in blocks]))
-    limits = [Noise(*np.add(MAX_MOTION, np.multiply(factor, n))) for n in noise]
+    limits = [PoseNoise(*np.add(MAX_MOTION, np.multiply(factor, n))) for n in noise]
     ends = stamps[[block[-1] for block in blocks]]
     spans, last = [], len(blocks) - 1
     while last >= 0:
@@ -195,7 +196,7 @@ def _means(body: Trajectory, spans: Sequence[Stamps]) -> Trajectory:
 
 
 def _continues(
-    means: list[Trajectory], limits: list[Noise], ends: Stamps, first: int, last: int
+    means: list[Trajectory], limits: list[PoseNoise], ends: Stamps, first: int, last: int
 ) -> bool:
     """Return whether the block before the first agrees with blocks first to last."""
     if means[0].stamps_ns[first] - ends[first - 1] > BLOCK_SECONDS * NS_PER_S:
@@ -212,7 +213,7 @@ def _seconds(stamps_ns: Stamps, span: Stamps) -> float:
     return float(stamps_ns[span[-1]] - stamps_ns[span[0]]) / NS_PER_S
 
 
-def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> Noise:
+def _error(relative: Array, stamps_ns: Stamps, noise: tuple[PoseNoise, PoseNoise]) -> PoseNoise:
     """
     Return the standard errors of the mean of relative poses (N, 6).
 
@@ -224,7 +225,7 @@ def _error(relative: Array, stamps_ns: Stamps, noise: tuple[Noise, Noise]) -> No
     counts = np.diff([*starts, len(relative)])[:, None]
     means = np.add.reduceat(relative, starts, axis=0) / counts
     variances = np.var(means, axis=0, ddof=1) / len(means) if len(means) > 1 else np.zeros(6)
-    return Noise(*(
+    return PoseNoise(*(
         float(np.sqrt(max((a**2 + b**2) / len(relative), np.mean(variances[part]))))
         for a, b, part in zip(*noise, (slice(0, 3), slice(3, 6)), strict=True)))
 

@@ -37,7 +37,7 @@ class Pose(NamedTuple):
     rotation: Array
 
 
-State = tuple[Array, Array, Array, Array]
+MotionState = tuple[Array, Array, Array, Array]
 """Positions (N, 3) and velocities (N, 3) in world axes (m, m/s), R_world_tool (N, 3, 3), and body
 rates (N, 3) in tool axes (rad/s)."""
 
@@ -54,14 +54,15 @@ class Motion:
     highest_frequency : float
         Highest frequency, Hz; estimated for motions without a line spectrum.
     state : callable
-        Function from times (N,), s, to the `State`; before the beginning the tool is at rest.
+        Function from times (N,), s, to the `MotionState`; before the beginning the tool is at
+        rest.
 
     """
 
     rest_duration: float
     duration: float
     highest_frequency: float
-    state: Callable[[Array], State]
+    state: Callable[[Array], MotionState]
 
     def trajectory(self, stamps_ns: Stamps, start_ns: int) -> Trajectory:
         """Return poses and body twists at stamps (N,), ns; the motion begins at `start_ns`."""
@@ -143,7 +144,7 @@ def oscillation(
                 slope * wave + size * sine.amplitude * rate * np.cos(at_rest + rate * tau))
         return moved
 
-    def state(t: Array) -> State:
+    def state(t: Array) -> MotionState:
         """Return the motion; the body rate is dexp(-phi) dphi/dt."""
         value, rate = displacement(t)
         phi = value[:, 3:]
@@ -168,7 +169,7 @@ def waypoints(start: Pose, rest: float, segments: Sequence[MoveAndHold]) -> Moti
 
     Positions move straight and orientations about a fixed axis, both along the smooth step.
     """
-    def state(t: Array) -> State:
+    def state(t: Array) -> MotionState:
         still = np.zeros((len(t), 3))
         position, rotation = still + start.position, still[..., None] + start.rotation
         velocity, body_rate, begin, before = still.copy(), still.copy(), rest, start
@@ -188,7 +189,7 @@ def waypoints(start: Pose, rest: float, segments: Sequence[MoveAndHold]) -> Moti
 
 def planned(tool: Trajectory) -> Motion:
     """Return the motion of a plan with body twists; after its end the last pose."""
-    def state(t: Array) -> State:
+    def state(t: Array) -> MotionState:
         first, last = tool.stamps_ns[[0, -1]]
         stamps = np.clip(first + np.round(t * NS_PER_S).astype(np.int64), first, last)
         at, places = np.unique(stamps, return_inverse=True)

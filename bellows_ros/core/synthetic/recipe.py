@@ -38,7 +38,7 @@ class Faults:
     rotation: float = 0.0
 
 
-class Sensor(NamedTuple):
+class SimulatedSensor(NamedTuple):
     """
     Tracking of one body.
 
@@ -107,14 +107,14 @@ class Schedule(NamedTuple):
 
 
 def schedule(
-    sensor: Sensor, duration: float, rest_duration: float, start_ns: int, draw: Generator
+    sensor: SimulatedSensor, duration: float, rest_duration: float, start_ns: int, draw: Generator
 ) -> Schedule:
     """
     Plan a stream's samples; jumps and gaps never overlap, and the initial rest has none.
 
     Parameters
     ----------
-    sensor : Sensor
+    sensor : SimulatedSensor
         Tracking of the body.
     duration, rest_duration : float
         Durations of the recording and of the rest at its beginning, s.
@@ -159,7 +159,7 @@ def schedule(
 
 
 def measure_poses(
-    truth: Trajectory, sensor: Sensor, plan: Schedule, world: Array, draw: Generator
+    truth: Trajectory, sensor: SimulatedSensor, plan: Schedule, world: Array, draw: Generator
 ) -> Trajectory:
     """
     Return the recorded poses of a body, in the recording's world.
@@ -168,7 +168,7 @@ def measure_poses(
     ----------
     truth : Trajectory
         True poses of the body at `plan.sampled_ns`.
-    sensor : Sensor
+    sensor : SimulatedSensor
         Tracking of the body.
     plan : Schedule
         Times of the samples.
@@ -222,7 +222,7 @@ def measure_twists(
     return (np.hstack([apply(axes, twist[:, :3]), apply(axes, twist[:, 3:])]) + noise)[plan.sent]
 
 
-def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
+def sensor_from(settings: Settings, origin: Array | None = None) -> SimulatedSensor:
     """
     Return the sensor of settings; see config/motion_example.yaml.
 
@@ -235,7 +235,7 @@ def sensor_from(settings: Settings, origin: Array | None = None) -> Sensor:
 
     """
     noise, marker, stamps = (settings.block(name) for name in ('noise', 'marker', 'stamps'))
-    return Sensor(
+    return SimulatedSensor(
         settings.path,
         rate_hz=settings.number('rate_hz', unit='Hz', above=0.0, maximum=1e4),
         position_noise=noise.number('position', 0.0, 'm', minimum=0.0),
@@ -282,7 +282,7 @@ class Recipe(NamedTuple):
     ----------
     motion : Motion
         Motion of the tool.
-    tool, package : Sensor
+    tool, package : SimulatedSensor
         Tracking of tool and package.
     tool_twist : TwistSensor or None
         Measurement of the tool's twist; None without a published twist.
@@ -298,9 +298,9 @@ class Recipe(NamedTuple):
     """
 
     motion: Motion
-    tool: Sensor
+    tool: SimulatedSensor
     tool_twist: TwistSensor | None
-    package: Sensor
+    package: SimulatedSensor
     world: str
     storage: str
     zstd: bool

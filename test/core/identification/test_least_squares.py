@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 from bellows_ros.core.identification.least_squares import (
+    FilteredSamples,
     lip_relative,
     needed_wrench,
-    Samples,
     samples_of,
 )
 from bellows_ros.core.identification.result import definiteness_findings
@@ -37,7 +37,7 @@ def exact_samples(cup, package, rng, window):
             oracle.transform(body.rotation[k], body.position[k]), body.twist[k])
         for k in range(len(tool))]
     moved = Trajectory(body.stamps_ns, body.position, body.rotation, body.twist, np.array(rates))
-    return Samples(tool, moved, package, GRAVITY, window)
+    return FilteredSamples(tool, moved, package, GRAVITY, window)
 
 
 @pytest.fixture(scope='module')

@@ -15,7 +15,7 @@ VALUES = {
 PERIOD = 4 * MS
 
 
-class Cell:
+class SwitchedCell:
     """A tool that moves up and down, and may stand, with a predictor of its package."""
 
     def __init__(self, with_camera=False, **more):
@@ -67,7 +67,7 @@ class Cell:
 
 def test_a_loss_is_an_alarm_until_the_next_package():
     """Of vacuum that ends with the valve on, at rest and in sight of a camera."""
-    cell = Cell(with_camera=True)
+    cell = SwitchedCell(with_camera=True)
     cell.pick(with_valve=True)
     cell.go(1.6)
     assert cell.live.is_ok
@@ -109,7 +109,7 @@ def test_valve_vacuum_and_motion_decide(steps, state):
 @pytest.mark.parametrize('falls', [True, False])
 def test_without_a_valve_the_camera_decides_at_rest(falls):
     """Keep the package until the camera has had time to see a fall of 0.1 s."""
-    cell = Cell(with_camera=True)
+    cell = SwitchedCell(with_camera=True)
     cell.pick()
     cell.go(1.0)
     if falls:
@@ -125,7 +125,7 @@ def test_without_a_valve_the_camera_decides_at_rest(falls):
 
 
 def test_a_lost_package_without_any_signal_is_found_again():
-    cell = Cell(with_camera=True, **{'vacuum.signal': 'none'})
+    cell = SwitchedCell(with_camera=True, **{'vacuum.signal': 'none'})
     assert cell.live.state == 'held'
     cell.go(2.0)
     cell.dropped_ns = cell.now_ns
@@ -137,7 +137,7 @@ def test_a_lost_package_without_any_signal_is_found_again():
 
 
 def test_parameters_change_while_the_package_moves_on():
-    cell = Cell()
+    cell = SwitchedCell()
     cell.pick()
     before = cell.live.latest
     cell.live.set_parameters({'package.mass': 2.0})

@@ -24,7 +24,7 @@ from ...cell.sensors import sent_by
 PERIOD = 2_777_778
 
 
-class Messages:
+class SentMessages:
     """A tool motion as messages: stamps, poses and twists in world axes."""
 
     def __init__(self):
@@ -47,7 +47,7 @@ class Messages:
 
 @pytest.fixture(scope='module')
 def messages():
-    return Messages()
+    return SentMessages()
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from bellows_ros.core.model.validity_range import Envelope, outside_loads
 from bellows_ros.core.parameters import conversion
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.core.parameters.conversion import parameter_std, stiffness_std
-from bellows_ros.core.recording.recording import Noise
+from bellows_ros.core.recording.recording import PoseNoise
 from bellows_ros.core.recording.standstills import Standstill, with_standstills
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError
@@ -67,7 +67,7 @@ def test_several_recordings_and_standstills_widen_every_range():
     tool = Trajectory(at, np.zeros((1, 3)), np.eye(3)[None])
     package = Trajectory(at, np.array([[0.0, 0.0, -LENGTH - 0.002]]) + COM, np.eye(3)[None])
     payload = Package(2.0, np.eye(3) * 0.01, COM)
-    still = Standstill(0, 1.0, tool, package, 100, Noise(1e-6, 1e-6), payload)
+    still = Standstill(0, 1.0, tool, package, 100, PoseNoise(1e-6, 1e-6), payload)
     wide = with_standstills(both, [still], LENGTH)
     assert_allclose(wide.low[2], -0.002, atol=1e-12)
     assert_allclose(wide.high[:6], np.maximum(both.high[:6], 0.0))

@@ -39,7 +39,7 @@ EXPOSURE = 3e-3
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
-class Cycle(NamedTuple):
+class CellCycle(NamedTuple):
     """One cycle: sampled motion, sensor messages, and the truth."""
 
     times: np.ndarray
@@ -282,7 +282,7 @@ class ContactCell:
         told[:, :3] += 2e-5 * g.normal(size=(len(told), 3))
         told[:, 7:] += np.repeat([5e-4, 1e-3], 3) * g.normal(size=(len(told), 6))
         seen = self._seen(truth, marker, at, fault, size * direction)
-        return Cycle(times[::EVERY], told, truth, seen, stated, at, states[:, 30:])
+        return CellCycle(times[::EVERY], told, truth, seen, stated, at, states[:, 30:])
 
     def _seen(self, truth, marker, at, fault, moved):
         g, drawn, origin = self.rng, [], np.array([0.5, 0.0, 0.3])

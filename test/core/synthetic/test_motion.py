@@ -5,7 +5,7 @@ from bellows_ros.core.parameters.checks import Settings
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.core.synthetic import recipe as sensing
 from bellows_ros.core.synthetic.motion import motion_from
-from bellows_ros.core.synthetic.recipe import Faults, Sensor, TwistSensor
+from bellows_ros.core.synthetic.recipe import Faults, SimulatedSensor, TwistSensor
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -175,7 +175,7 @@ def turned(R, other):
 
 
 def test_noise_has_the_standard_deviation_that_was_asked_for():
-    sensor = Sensor('tool', 500.0, position_noise=1e-4, rotation_noise=5e-4)
+    sensor = SimulatedSensor('tool', 500.0, position_noise=1e-4, rotation_noise=5e-4)
     _, truth, poses = measured(sensor)
     noise = np.hstack([(poses.position - truth.position) / 1e-4,
                        turned(truth.rotation, poses.rotation) / 5e-4])
@@ -190,13 +190,13 @@ def test_noise_has_the_standard_deviation_that_was_asked_for():
 
 def test_marker_frame_and_origin_are_fixed_to_the_body():
     marker, origin = np.array([0.04, -0.07, 0.9]), np.array([0.0008, -0.0006, 0.03])
-    _, truth, poses = measured(Sensor('package', 100.0, origin=origin, marker=marker))
+    _, truth, poses = measured(SimulatedSensor('package', 100.0, origin=origin, marker=marker))
     assert_allclose(poses.position, truth.position + apply(truth.rotation, origin), atol=1e-15)
     assert_allclose(turned(truth.rotation, poses.rotation), np.tile(marker, (2001, 1)), atol=1e-12)
 
 
 def test_motive_world_is_undone_by_the_printed_matrix():
-    _, truth, poses = measured(Sensor('tool', 100.0), MOTIVE)
+    _, truth, poses = measured(SimulatedSensor('tool', 100.0), MOTIVE)
     assert_allclose(poses.position @ A_R_M.T, truth.position, atol=1e-15)
     assert_allclose(A_R_M @ poses.rotation, truth.rotation, atol=1e-15)
     # y is up: the second coordinate is the height.
@@ -205,7 +205,8 @@ def test_motive_world_is_undone_by_the_printed_matrix():
 
 @pytest.mark.parametrize('seed', range(2))
 def test_jumps_and_gaps_are_as_many_as_asked_for_and_apart(seed):
-    sensor = Sensor('tool', 200.0, jumps=Faults(6, 0.02, 0.03, 0.3), dropouts=Faults(4, 0.1))
+    sensor = SimulatedSensor(
+        'tool', 200.0, jumps=Faults(6, 0.02, 0.03, 0.3), dropouts=Faults(4, 0.1))
     plan, truth, poses = measured(sensor, seed=seed)
 
     rest = int(REST * 200)
@@ -230,7 +231,7 @@ def test_jumps_and_gaps_are_as_many_as_asked_for_and_apart(seed):
 
 def test_faults_that_fit_exactly_are_placed_and_one_more_is_refused():
     def sensor(count):
-        return Sensor('package', 10.0, dropouts=Faults(count, 0.5))
+        return SimulatedSensor('package', 10.0, dropouts=Faults(count, 0.5))
 
     # 201 samples, 21 of them in the rest: 180 hold 29 gaps of 5 and the samples around them.
     assert np.sum(~plan_of(sensor(29)).sent) == 29 * 5
@@ -239,18 +240,19 @@ def test_faults_that_fit_exactly_are_placed_and_one_more_is_refused():
 
 
 def test_jitter_moves_stamps_and_keeps_their_order():
-    plan = plan_of(Sensor('tool', 500.0, jitter=1e-4))
+    plan = plan_of(SimulatedSensor('tool', 500.0, jitter=1e-4))
     off = (plan.stamps_ns - plan.sampled_ns) * 1e-9
     assert off.std() == pytest.approx(1e-4, rel=5.0 / np.sqrt(2.0 * len(off)))
-    wild = plan_of(Sensor('tool', 500.0, jitter=1.0))
+    wild = plan_of(SimulatedSensor('tool', 500.0, jitter=1.0))
     assert np.all(np.diff(wild.stamps_ns) > 0)
-    assert_array_equal(plan_of(Sensor('tool', 500.0)).stamps_ns, plan.sampled_ns)
+    assert_array_equal(plan_of(SimulatedSensor('tool', 500.0)).stamps_ns, plan.sampled_ns)
 
 
 @pytest.mark.parametrize('world', ['z_up', 'motive_y_up'])
 def test_twists_are_in_the_axes_that_were_asked_for(world):
     marker = np.array([0.1, -0.4, 0.9])
-    plan, truth, poses = measured(Sensor('tool', 100.0, marker=marker), sensing.WORLDS[world])
+    sensor = SimulatedSensor('tool', 100.0, marker=marker)
+    plan, truth, poses = measured(sensor, sensing.WORLDS[world])
     for frame in ('world', 'tool'):
         twists = sensing.measure_twists(
             truth, TwistSensor(frame), marker, plan, sensing.WORLDS[world], draw())
