@@ -7,32 +7,46 @@ is called.
 
 from __future__ import annotations  # signatures show names, not their members
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, wraps
+import inspect
+from itertools import chain
+from numbers import Integral, Real
 import os
-from typing import Any, TYPE_CHECKING
+from types import SimpleNamespace, UnionType
+from typing import (
+    Any,
+    get_args,
+    get_origin,
+    get_type_hints,
+    ParamSpec,
+    TYPE_CHECKING,
+    TypeVar,
+    Union,
+)
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core import live
+from bellows_ros.core.geometry.arrays import Array, real_numbers
 from bellows_ros.core.geometry.lie import quaternion_to_rotation, rotation_to_quaternion, transform
-from bellows_ros.core.live import LivePredictor, Prediction
+from bellows_ros.core.live import Prediction
 from bellows_ros.core.model import cup_package, equilibrium, simulation
 from bellows_ros.core.model.cup_package import box_inertia, Cup, Package
 from bellows_ros.core.model.simulation import state_row
 from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS, resolve
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.signals.savgol import savgol
+from bellows_ros.core.signals import savgol as filters
 from bellows_ros.core.signals.screening import pose_steps, repeated
 from bellows_ros.core.signals.trajectory import PoseStream, Trajectory
 from bellows_ros.errors import BellowsError, require_types
-from bellows_ros.files import File
-from bellows_ros.files.parameter_files import read_parameters, write_parameters
+from bellows_ros.files import File, parameter_files
 import bellows_ros.plots  # noqa: F401 (results draw themselves)
 import numpy as np
 from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from bellows_ros.workflows.identification import Identification
-    from bellows_ros.workflows.plan import MotionSource, PlanReport
+    from bellows_ros.workflows.plan import PlanReport
     from bellows_ros.workflows.replay import Replay
     from bellows_ros.workflows.toss import TossResult
 
@@ -42,10 +56,80 @@ __all__ = [
     'read_package', 'read_parameters', 'replay', 'savgol', 'simulate', 'static_equilibrium',
     'steer', 'toss', 'write_cup', 'write_parameters']
 
+MotionSource = File | Trajectory
 Parameters = Mapping[str, object] | File
 """Parameters by name, as `read_parameters` and `parameters_of` return them, or their file."""
 
+Inputs = ParamSpec('Inputs')
+Result = TypeVar('Result')
 
+ACCEPTED: Mapping[Any, tuple[type, ...]] = {
+    bool: (bool, np.bool_), int: (Integral,), float: (Real,), Sequence: (list, tuple),
+    Sequence[float]: (list, tuple, np.ndarray)}
+"""Accepted types by type hint: numbers also of NumPy, and no text as a sequence of characters."""
+
+
+def accepted_types(hint: Any) -> tuple[type, ...]:
+    """Return the classes of a type hint, () if it allows arrays, which are checked when read."""
+    options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    classes = [option if option in ACCEPTED else get_origin(option) or option
+               for option in options]
+    if np.ndarray in classes or {*get_args(ArrayLike)}.issubset(options):
+        return ()
+    return tuple(chain.from_iterable(ACCEPTED.get(each, (each,)) for each in classes))
+
+
+def checked(function: Callable[Inputs, Result]) -> Callable[Inputs, Result]:
+    """Check the arguments of a function by their type hints, except those at their defaults."""
+    signature = inspect.signature(function)
+
+    @cache
+    def hints() -> Mapping[str, Any]:
+        """Return the type hints of the arguments; those of results are loaded later."""
+        arguments = {name: hint for name, hint in function.__annotations__.items()
+                     if name != 'return'}
+        return get_type_hints(
+            SimpleNamespace(__annotations__=arguments), function.__globals__)
+
+    @wraps(function)
+    def call(*args: Inputs.args, **kwargs: Inputs.kwargs) -> Result:
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            hint = hints().get(name, object)  # of self
+            if get_origin(hint) is tuple:
+                array = real_numbers(value, name)
+                if array.shape != (size := (len(get_args(hint)),)):
+                    raise BellowsError(f'{name} must have the shape {size}, got {array.shape}.')
+            elif (types := accepted_types(hint)) and value is not (
+                    signature.parameters[name].default):
+                require_types(**{name: (value, *types)})
+                if Real in types and isinstance(value, Real):
+                    real_numbers(value, name)
+        return function(*args, **kwargs)
+
+    return call
+
+
+def with_checked_methods(cls: type[live.LivePredictor]) -> type[live.LivePredictor]:
+    """Check the arguments of all public methods that a class inherits from its first base."""
+    base = cls.__bases__[0]
+    cls.__doc__ = base.__doc__
+    for name, method in vars(base).items():
+        if inspect.isfunction(method) and (name == '__init__' or not name.startswith('_')):
+            setattr(cls, name, checked(method))
+    return cls
+
+
+@with_checked_methods
+class LivePredictor(live.LivePredictor):
+    """The predictor of the nodes, with checked arguments."""
+
+
+read_parameters = checked(parameter_files.read_parameters)
+write_parameters = checked(parameter_files.write_parameters)
+savgol = checked(filters.savgol)
+
+
+@checked
 def read_cup(path: File) -> Cup:
     """
     Read a cup from a parameter file, such as the output of `bellows identify`.
@@ -72,6 +156,7 @@ def read_cup(path: File) -> Cup:
     return cup_of(_parameters(path, ('cup.stiffness', 'cup.damping', 'cup.length')))
 
 
+@checked
 def read_package(path: File) -> Package:
     """
     Read a package from a parameter file.
@@ -95,6 +180,7 @@ def read_package(path: File) -> Package:
     return package_of(_parameters(path))
 
 
+@checked
 def write_cup(path: File, cup: Cup, package: Package | None = None) -> None:
     """
     Write a cup, and optionally a package, for both nodes and all commands.
@@ -123,6 +209,7 @@ def write_cup(path: File, cup: Cup, package: Package | None = None) -> None:
     write_parameters(path, parameters_of(cup, package))
 
 
+@checked
 def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]:
     """
     Return the parameters of a cup, and of a package, for functions of parameters by name.
@@ -134,7 +221,6 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
     0.046
 
     """
-    require_types(cup=(cup, Cup), package=(package, Package, type(None)))
     values: dict[str, object] = cup.parameters()
     if package is not None:
         values.update({
@@ -144,6 +230,7 @@ def parameters_of(cup: Cup, package: Package | None = None) -> dict[str, object]
     return values
 
 
+@checked
 def identify(
     recordings: Sequence[File | tuple[Trajectory, Trajectory]] | File, package: Package,
     cup_length: float, settings: Mapping[str, object] | None = None
@@ -186,7 +273,6 @@ def identify(
     ((), True)
 
     """
-    require_types(recordings=(recordings, str, os.PathLike, Sequence), package=(package, Package))
     values: dict[str, object] = {**(settings or {}), **{
         name: value for name, value in parameters_of(Cup.thesis(), package).items()
         if name.startswith('package.')}, 'cup.length': cup_length}
@@ -211,6 +297,7 @@ def identify(
     return workflow.identify({**values, 'bags': bags}, poses=poses)
 
 
+@checked
 def simulate(
     cup: Cup, package: Package, tool: Trajectory,
     gravity: float | ArrayLike = cup_package.STANDARD_GRAVITY
@@ -259,11 +346,11 @@ def simulate(
     (501, True)
 
     """
-    require_types(tool=(tool, Trajectory))
     resolve(parameters_of(cup, package))
     return simulation.simulate(cup, package, tool, gravity=gravity)
 
 
+@checked
 def static_equilibrium(
     cup: Cup, package: Package, T_world_tool: ArrayLike | None = None,
     gravity: float | ArrayLike = cup_package.STANDARD_GRAVITY
@@ -316,6 +403,7 @@ def static_equilibrium(
     return transform(quaternion_to_rotation(np.array(body[1])), np.array(body[0]))
 
 
+@checked
 def plan(
     motion: MotionSource, parameters: Parameters, urdf: str = '', topic: str = ''
 ) -> PlanReport:
@@ -356,6 +444,7 @@ def plan(
     return workflow.plan(motion, _parameters(parameters), urdf, topic)
 
 
+@checked
 def fastest(
     motion: MotionSource, parameters: Parameters, urdf: str = '', topic: str = ''
 ) -> PlanReport:
@@ -387,6 +476,7 @@ def fastest(
         motion, _parameters(parameters), urdf, topic, seek_fastest=True)
 
 
+@checked
 def steer(
     motion: MotionSource, parameters: Parameters, method: str = 'zvd',
     limits: Mapping[str, object] | File = '', urdf: str = '', topic: str = '',
@@ -425,6 +515,7 @@ def steer(
     return workflow.steer_plan(motion, _parameters(parameters), method, limits, urdf, topic)
 
 
+@checked
 def toss(
     motion: MotionSource, parameters: Parameters, release: float | None = None,
     target: Sequence[float] | None = None, urdf: str = '', topic: str = '',
@@ -467,6 +558,7 @@ def toss(
         motion, _parameters(parameters), release, x_y, urdf=urdf, topic=topic)
 
 
+@checked
 def replay(recording: File, parameters: Parameters) -> Replay:
     """
     Predict a recording with a cup from start to end and compare both, like `bellows replay`.
@@ -501,6 +593,7 @@ def replay(recording: File, parameters: Parameters) -> Replay:
     return workflow.replay(recording, _parameters(parameters))
 
 
+@checked
 def observe(recording: File, parameters: Parameters, topic: str) -> Replay:
     """
     Replay a recording, with a second prediction corrected by measured poses of the package.
@@ -545,7 +638,6 @@ def _samples_of(poses: Trajectory) -> Trajectory:
 
 def _parameters(source: Parameters, names: Sequence[str] = PACKAGE_PARAMETERS) -> Values:
     """Return parameters by name; raise if a required name is missing."""
-    require_types(parameters=(source, Mapping, str, os.PathLike))
     values, what = (Values(source), 'The mapping of parameters') if isinstance(
         source, Mapping) else (Values(read_parameters(source)), f"Parameter file '{source}'")
     if missing := [name for name in names if name not in values]:

@@ -2,6 +2,7 @@
 
 import doctest
 from functools import partial
+import inspect
 import json
 import subprocess
 import sys
@@ -129,5 +130,90 @@ STILL = bellows_ros.Trajectory(
 def test_arguments_that_are_wrong_are_named(root, monkeypatch, call, named):
     """Name them as they are called here, not as options of the command line."""
     monkeypatch.chdir(root)
-    with pytest.raises(BellowsError, match=named):
+    with pytest.raises(BellowsError, match=named or None):
         call()
+
+
+MATRIX = np.eye(3)
+IN = {'cup': CUP, 'package': PACKAGE, 'gravity': 9.81}
+PLAN = {'motion': 'bags/throw.yaml', 'parameters': TOSSING, 'urdf': '', 'topic': ''}
+POSE = {'stamp_ns': 8_000_000, 'frame_id': 'world', 'position': (0.0, 0.0, 0.5),
+        'quaternion_xyzw': (0.0, 0.0, 0.0, 1.0), 'arrival_ns': 8_000_000}
+RIGHT = {
+    'Cup': {'stiffness': CUP.stiffness, 'damping': CUP.damping, 'length': CUP.length,
+            'relaxation': (0.0, 0.0), 'relaxation_times': (0.1, 1.0), 'stretch': (0.0, 0.0)},
+    'Package': {'mass': 1.0, 'inertia': 0.01 * MATRIX, 'com': (0.0, 0.0, -0.03)},
+    'Trajectory': {'stamps_ns': [0, 1_000_000], 'position': np.zeros((2, 3)),
+                   'rotation': np.tile(MATRIX, (2, 1, 1)), 'twist': np.zeros((2, 6)),
+                   'acceleration': np.zeros((2, 6)), 'valid': [True, True]},
+    'box_inertia': {'mass': 1.8, 'depth': 0.2, 'width': 0.16, 'height': 0.06},
+    'identify': {'recordings': 'bags/validation', 'package': PACKAGE, 'cup_length': 0.046,
+                 'settings': {}},
+    'parameters_of': {'cup': CUP, 'package': PACKAGE},
+    'read_cup': {'path': 'bags/cup.yaml'}, 'read_package': {'path': 'bags/cup.yaml'},
+    'read_parameters': {'path': 'bags/cup.yaml', 'node': 'predictor'},
+    'savgol': {'trajectory': bellows_ros.Trajectory(
+        np.arange(40) * 10**6, np.zeros((40, 3)), Rotation.identity(40)),
+        'half_window': 8, 'order': 4, 'is_tapered': False},
+    'simulate': {**IN, 'tool': STILL},
+    'static_equilibrium': {**IN, 'T_world_tool': np.eye(4)},
+    'write_cup': {'path': '/dev/null', 'cup': CUP, 'package': PACKAGE},
+    'write_parameters': {'path': '/dev/null', 'values': {}, 'header': ()},
+    'plan': PLAN, 'fastest': PLAN, 'steer': {**PLAN, 'method': 'zvd', 'limits': ''},
+    'toss': {**PLAN, 'release': 3.0, 'target': (1.0, 0.0)},
+    'replay': {'recording': 'bags/validation', 'parameters': TOSSING},
+    'observe': {'recording': 'bags/validation', 'parameters': TOSSING, 'topic': 'x'},
+    'LivePredictor': {**IN, 'twist_frame': 'world', 'coast_limit_ns': 10**8},
+    'LivePredictor.from_parameters': {'parameters': {}},
+    'LivePredictor.covariance': {'stamp_ns': 0}, 'LivePredictor.phase': {'arrival_ns': 0},
+    'LivePredictor.is_ok_at': {'arrival_ns': 0}, 'LivePredictor.coast': {'arrival_ns': 0},
+    'LivePredictor.set_parameters': {'parameters': {}}, 'LivePredictor.use': {'values': {}},
+    'LivePredictor.reset': {'reason': 'gap'}, 'LivePredictor.flush': {},
+    'LivePredictor.expect_twists': {'expected': True},
+    'LivePredictor.set_attached': {'attached': True},
+    'LivePredictor.on_valve': {'on': True, 'stamp_ns': 0},
+    'LivePredictor.on_vacuum': {'held': True, 'stamp_ns': 0, 'cup': -1},
+    'LivePredictor.on_pressure': {'pressure': 1e5, 'frame_id': ''},
+    'LivePredictor.on_pose': POSE,
+    'LivePredictor.on_measured': {**POSE, 'covariance': np.eye(6)},
+    'LivePredictor.on_twist': {'stamp_ns': 0, 'linear': (0.0,) * 3, 'angular': (0.0,) * 3,
+                               'frame_id': None},
+    'LivePredictor.on_wrench': {'stamp_ns': 0, 'frame_id': 'world', 'force': (0.0,) * 3,
+                                'moment': (0.0,) * 3},
+    'LivePredictor.watch': {'prediction': None}}
+"""Arguments of every public function and method, and of the constructors that users call."""
+
+WRONG = (10**400, object(), 1j, 1j * np.eye(6), np.ma.masked_array(np.eye(6), np.eye(6) > 0.0),
+         [], {}, b'x', [['a']], {'a': 1j}, [10**400], float('nan'), np.zeros(0))
+
+
+def public_function(name):
+    """Return a function of the library, or a method of a predictor, by its name."""
+    owner, _, method = name.partition('.')
+    if not method:
+        return getattr(bellows_ros, owner)
+    return getattr(bellows_ros.LivePredictor(CUP, PACKAGE, 9.81), method)
+
+
+def test_all_public_functions_are_tested_for_wrong_arguments():
+    methods = {f'LivePredictor.{name}' for name in dir(bellows_ros.LivePredictor)
+               if not name.startswith('_') and callable(getattr(bellows_ros.LivePredictor, name))}
+    assert {*RIGHT} == {*bellows_ros.__all__, *methods} - WITHOUT_EXAMPLE
+    for name, arguments in RIGHT.items():
+        assert {*arguments} == {*inspect.signature(
+            public_function(name)).parameters} - {'is_checked'}, name
+
+
+@pytest.mark.parametrize(('name', 'argument'), [
+    (name, argument) for name, arguments in RIGHT.items() for argument in arguments])
+def test_an_argument_of_any_other_form_is_refused(root, monkeypatch, name, argument):
+    """Put each wrong value in place of each argument of each public function."""
+    monkeypatch.chdir(root)
+    function = public_function(name)
+    hint = str(inspect.signature(function).parameters[argument].annotation)
+    for value in WRONG:
+        is_right = isinstance(value, int) and 'int' in hint or isinstance(
+            value, dict) and 'Mapping' in hint
+        if not is_right:
+            with pytest.raises(BellowsError):
+                function(**{**RIGHT[name], argument: value})

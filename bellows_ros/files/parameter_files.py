@@ -15,7 +15,7 @@ from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.core.parameters.checks import validate
 from bellows_ros.core.parameters.table import lookup, Parameter, PARAMETERS, Value
 from bellows_ros.core.signals.residuals import AXES
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, require_types
 from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.atomic import write_text
 
@@ -60,6 +60,8 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     (0.0, 0.0, -0.03)
 
     """
+    if node not in (None, *NODES):
+        raise BellowsError(f"node is '{node}'; expected {' or '.join(NODES)}.")
     file = Path(path)
     content = safe_yaml.load(file)
     if not isinstance(content, safe_yaml.Content):
@@ -116,6 +118,8 @@ def format_parameters(
     values: Mapping[str, Any], header: Sequence[str] = (), to_fill_in: Sequence[Parameter] = ()
 ) -> str:
     """Return the text of a parameter file; parameters to fill in are comments with an example."""
+    for line in header:
+        require_types(header=(line, str))
     checked = {name: validate(name, value) for name, value in values.items()}
     # A line break must not end a comment.
     plain = (''.join(c if c.isprintable() else ' ' for c in line) for line in header)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import math
 from operator import mul
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, real_numbers
 from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector
 from bellows_ros.core.live.cycle import Cycle, FALL_NS, GRIPPED, LOST, ON_CUP, RELEASED
 from bellows_ros.core.live.held_package import HeldPackage, stated_payload
@@ -358,6 +358,8 @@ class LivePredictor:
         Without a reason, all estimates of the package are reset, too.
         """
         if reason:
+            if reason not in self.restarts:
+                raise BellowsError(f"reason is '{reason}'; expected one of {', '.join(RESTARTS)}.")
             self.restarts[reason] += 1
             self.screen.forget_motion()
         else:
@@ -545,6 +547,10 @@ class LivePredictor:
             Arrival on the clock of `on_pose`.
 
         """
+        if covariance is not None:
+            covariance = real_numbers(covariance, 'covariance')
+            if covariance.shape != (6, 6):
+                raise BellowsError(f'covariance must be of shape (6, 6), got {covariance.shape}.')
         newest_ns = self.screen.arrival_ns
         since_ns = 0 if arrival_ns is None or newest_ns is None else max(arrival_ns - newest_ns, 0)
         if self._observing.on_measured(

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 import warnings
 
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, real_numbers
 from bellows_ros.core.model import kernels, pseudo_inertia, structure
 from bellows_ros.core.model.kernels import Blocks, CupTuple, ModelTuple, PackageTuple
 from bellows_ros.core.model.structure import SINGLE, UPPER
@@ -109,10 +109,7 @@ LAW: Mapping[str, Term] = {name: term for name, term in TERMS.items() if term.sy
 
 def frozen_array(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
     """Return a read-only copy of the given shape, or raise an error that names the quantity."""
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise BellowsError(f'The {what} must be numbers, got {values!r}.') from None
+    array = real_numbers(values, what)
     if array.shape != shape:
         raise BellowsError(f'The {what} must have the shape {shape}, got {array.shape}.')
     if not np.all(np.isfinite(array)):
@@ -180,18 +177,21 @@ class Cup:
             raise BellowsError(
                 f'The cup length must be at most {MAX_LENGTH:g} m, got {self.length:g}. Is it in '
                 'mm?')
+        for name, what in (('relaxation', 'two strengths of cup.relaxation'),
+                           ('relaxation_times', 'two relaxation_times'),
+                           ('stretch', 'two coefficients of cup.stretch')):
+            numbers = frozen_array(getattr(self, name), (2,), what).tolist()
+            object.__setattr__(self, name, tuple(numbers))
         r, tau = self.relaxation, self.relaxation_times
-        if len(r) != 2 or not all(0.0 <= each < np.inf for each in r):
+        if min(r) < 0.0:
             raise BellowsError(
                 'cup.relaxation must be two strengths of 0 or more, as fractions of the static '
                 f'stiffness, got {list(r)}. Without relaxation they are [0, 0].')
-        if len(tau) != 2 or not 0.0 < tau[0] < tau[1] < np.inf:
+        if not 0.0 < tau[0] < tau[1]:
             raise BellowsError(
                 'relaxation_times must be two times above 0 s, the shorter one first, got '
                 f'{list(tau)}. Leave them at {list(structure.RELAXATION_TIMES)}: cup.relaxation '
                 'is identified with these.')
-        a, b = frozen_array(self.stretch, (2,), 'two coefficients of cup.stretch').tolist()
-        object.__setattr__(self, 'stretch', (a, b))
 
     @classmethod
     def thesis(cls) -> 'Cup':
@@ -212,7 +212,7 @@ class Cup:
     def as_tuple(self) -> CupTuple:
         """The cup as the kernels take it."""
         pairs = zip(self.relaxation, self.relaxation_times, strict=True)
-        branches = [(float(r), float(tau)) for r, tau in pairs if any(self.relaxation)]
+        branches = pairs if any(self.relaxation) else ()
         return (0.5 * float(self.length), float(self.length),
                 (*blocks(self.stiffness), self.stretch), blocks(self.damping), *branches)
 
@@ -338,7 +338,7 @@ def model_tuple(cup: Cup, package: Package, gravity: float | ArrayLike) -> Model
 
 def gravity_vector(gravity: float | ArrayLike) -> Array:
     """Return gravity in the world (3,) from its magnitude along -z, or as given, m/s^2."""
-    vector = np.asarray(gravity, dtype=np.float64)
+    vector = real_numbers(gravity, 'gravity')
     return np.array([0.0, 0.0, -float(vector)]) if vector.ndim == 0 else vector
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
+from bellows_ros.core.geometry.arrays import Array, Mask, real_numbers, Stamps
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -318,9 +318,9 @@ def _freeze_arrays(owner: Any, of: str, **shapes: tuple[int, ...]) -> None:
         given, shape = getattr(owner, name), (len(owner), *of_one)
         if given is None:
             continue
-        array = np.asarray(given.as_matrix() if hasattr(given, 'as_matrix') else given, np.float64)
-        if not _is_frozen(array):
-            array = np.array(array, order='C')
+        source = given.as_matrix() if hasattr(given, 'as_matrix') else given
+        is_ready = getattr(source, 'dtype', None) == np.float64 and _is_frozen(source)
+        array = source if is_ready else real_numbers(source, f'{name} of {of}')
         if array.shape != shape:
             raise BellowsError(
                 f'{of}: {name} must have shape {shape} for {shape[0]} stamps, not {array.shape}.')
