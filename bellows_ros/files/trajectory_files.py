@@ -10,12 +10,14 @@ not blank.
 """
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 import csv
+from datetime import datetime, UTC
 from decimal import Decimal
 from io import StringIO
-from itertools import islice
+from itertools import islice, pairwise, zip_longest
+import re
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -31,7 +33,13 @@ SETTINGS: Mapping[str, Mapping[str, float]] = {
     'Rotation Type': {'Quaternion': 1.0}, 'Coordinate Space': {'Global': 1.0},
     'Length Units': {'Meters': 1.0, 'Centimeters': 0.01, 'Millimeters': 0.001, 'Inches': 0.0254}}
 """Accepted settings of an export; those of the length units are in m."""
-POSE = [f'Position {axis}' for axis in 'XYZ'] + [f'Rotation {axis}' for axis in 'XYZW']
+HEADS = {'Type': "the row 'Type'", 'Name': "the row 'Name'",
+         'quantity': 'a row with the quantity of each column',
+         'axis': "the row of axes, which begins with 'Frame'"}
+"""Rows of the header, in words."""
+MAX_HEAD_ROWS = 12
+OLDEST_FORMAT = 1.2
+POSE = [f'position {axis}' for axis in 'xyz'] + [f'rotation {axis}' for axis in 'xyzw']
 MIN_QUALITY = 0.99
 """Smallest quality of a visible marker (appendix H)."""
 
@@ -82,7 +90,10 @@ def is_motive(path: File) -> bool:
 
 def read_motive(path: File) -> list[TrackedBody]:
     """
-    Return the rigid bodies of an export of Motive, in its world, with stamps from 1 s on.
+    Return the rigid bodies of an export of Motive, in its world, with stamps of its clock.
+
+    The stamps are UTC if the clock was; in an export without a time of its start they are from
+    1 s on.
 
     Parameters
     ----------
@@ -93,29 +104,28 @@ def read_motive(path: File) -> list[TrackedBody]:
     Raises
     ------
     BellowsError
-        If the file is not an export of Motive, or was exported with other options.
+        With the line, if the file is not an export of Motive, or was exported with other options.
 
     """
+    rows = csv.reader(StringIO(read_text(path, MAX_FILE_BYTES)))
     try:
-        rows = csv.reader(StringIO(read_text(path, MAX_FILE_BYTES)))
-        settings, heads = next(rows, []), dict[str, list[str]]()
-        for row in islice(rows, 12):
-            heads['Axis' if row[:1] == ['Frame'] else ''.join(row[1:2]) or 'Quantity'] = row
-            if 'Axis' in heads:
-                break
-        found = _columns(*(heads[name] for name in ('Type', 'Name', 'Quantity', 'Axis')))
-        needed = sorted({1}.union(*(pose + markers for pose, markers, _ in found.values())))
-        values = array('d', (
-            float(cells[i] or 'nan') for cells in rows if any(cells) for i in needed))
-    except (csv.Error, LookupError, ValueError) as error:
+        settings = next(rows, [])
+        scale, start_ns = _unit(path, settings), _start_ns(settings)
+        found, time = _columns(_heads(rows))
+        needed = sorted({time}.union(*(pose + markers for pose, markers, _ in found.values())))
+        values = array('d')
+        for row in filter(any, rows):
+            values.extend(_numbers(row, needed))
+    except (csv.Error, ValueError) as error:
         raise BellowsError(
-            f"'{path}' is no CSV export of Motive with rigid bodies and their header "
-            f"({shown(str(error), 80)}). Export it again, with 'Header Information' on.") from None
-    scale = _unit(path, settings)
+            f"'{path}' is no CSV export of Motive with rigid bodies and their header, line "
+            f"{rows.line_num}: {shown(str(error), 200)}. Export it again, with 'Header "
+            "Information' on.") from None
     table = dict(zip(needed, np.array(values).reshape(-1, len(needed)).T, strict=True))
-    if not len(table[1]) or not np.all(np.abs(table[1]) < 1e9):  # column 1 is the time, s
+    if not len(table[time]) or not np.all(np.abs(table[time]) < 1e9):  # s
         raise BellowsError(f"'{path}' has no frames, or frames without a time in s.")
-    stamps, bodies = np.rint((1.0 + table[1]) * NS_PER_S).astype(np.int64), []
+    stamps = start_ns + np.rint(table[time] * NS_PER_S).astype(np.int64)
+    bodies = []
     for name, (pose, markers, least) in found.items():
         poses = np.column_stack([table[i] for i in pose]) * [*3 * [scale], *4 * [1.0]]
         present = np.isfinite(poses).all(axis=1)
@@ -127,28 +137,86 @@ def read_motive(path: File) -> list[TrackedBody]:
     return bodies
 
 
-def _columns(*heads: Sequence[str]) -> dict[str, tuple[list[int], list[int], float]]:
-    """Return the columns of each body's pose and markers, and the least value of a visible one."""
-    columns = list(zip(*heads, strict=True))
-    names = dict.fromkeys(name for kind, name, *_ in columns if kind == 'Rigid Body')
+def _start_ns(settings: Sequence[str]) -> int:
+    """Return the start of a take, ns of its clock; 1 s if it is not given."""
+    text = dict(pairwise(settings)).get('Capture Start Time', '').replace('.M.', 'M')
+    for form in ('%Y-%m-%d %I.%M.%S.%f %p', '%Y-%m-%d %H.%M.%S.%f'):
+        with suppress(ValueError):
+            start = datetime.strptime(text, form).replace(tzinfo=UTC)
+            return round(start.timestamp() * 1e3) * 1_000_000
+    return NS_PER_S
+
+
+def _heads(rows: Iterator[list[str]]) -> list[tuple[str, ...]]:
+    """Return type, name, quantity and axis of each column; all but the name in lower case."""
+    heads = dict[str, list[str]]()
+    for row in islice(rows, MAX_HEAD_ROWS):
+        heads['axis' if row[:1] == ['Frame'] else ''.join(row[1:2]) or 'quantity'] = row
+        if 'axis' in heads:
+            break
+    for name, words in HEADS.items():
+        if name not in heads:
+            raise ValueError(f'expected {words} before the frames')
+    kinds, names, quantities, axes = (heads[name] for name in HEADS)
+    return [(kind.lower(), name, quantity.lower(), axis.lower())
+            for kind, name, quantity, axis in zip_longest(
+                kinds, names, quantities, axes, fillvalue='')]
+
+
+def _numbers(row: Sequence[str], needed: Sequence[int]) -> Iterator[float]:
+    """Yield the needed cells of a frame, nan for blank ones."""
+    for column in needed:
+        if column >= len(row):
+            raise ValueError(f'expected {needed[-1] + 1} cells, got {len(row)}')
+        try:
+            yield float(row[column] or 'nan')
+        except ValueError:
+            raise ValueError(
+                f"expected a number in column {column + 1}, got '{row[column]}'") from None
+
+
+def _columns(
+    heads: Sequence[tuple[str, ...]]
+) -> tuple[dict[str, tuple[list[int], list[int], float]], int]:
+    """
+    Return the columns of each body, and of the time.
+
+    The columns of a body are those of its pose, those of its markers, and the least value of a
+    visible marker.
+    """
+    names = dict.fromkeys(name for kind, name, *_ in heads if kind == 'rigid body')
     if not names:
-        raise ValueError('there are no rigid bodies')
+        raise ValueError("expected columns of the type 'Rigid Body'")
     found = dict[tuple[str, str, str], list[int]]()
-    for number, (kind, owner, quantity, axis) in enumerate(columns):
+    for number, (kind, owner, quantity, axis) in enumerate(heads):
         # The name of a marker (BODY:Marker1, BODY_1) begins with the name of its body.
-        body = owner if kind == 'Rigid Body' else max(
+        body = owner if kind == 'rigid body' else max(
             (n for n in names if owner.startswith((f'{n}:', f'{n}_'))), key=len, default='')
         found.setdefault((kind, body, f'{quantity} {axis}'.strip()), []).append(number)
-    qualities = {name: found.get(('Rigid Body Marker', name, 'Marker Quality')) for name in names}
-    return {name: (
-        [found['Rigid Body', name, column][0] for column in POSE],
-        qualities[name] or found.get(('Marker', name, 'Position X'), []),
-        MIN_QUALITY if qualities[name] else -np.inf) for name in names}
+    bodies = dict[str, tuple[list[int], list[int], float]]()
+    for name in names:
+        pose = [found.get(('rigid body', name, column), []) for column in POSE]
+        if any(len(columns) > 1 for columns in pose):
+            raise ValueError(f"expected one rigid body '{name}', got several (rename one)")
+        if [] in pose:
+            raise ValueError(f"expected the column '{POSE[pose.index([])]}' of '{name}'")
+        qualities = found.get(('rigid body marker', name, 'marker quality'))
+        bodies[name] = (
+            [columns[0] for columns in pose],
+            qualities or found.get(('marker', name, 'position x'), []),
+            MIN_QUALITY if qualities else -np.inf)
+    times = [number for number, (*_, axis) in enumerate(heads) if axis.startswith('time (')]
+    return bodies, times[0] if times else 1
 
 
 def _unit(path: File, row: Sequence[str]) -> float:
     """Return the unit of length, m; raise for settings that are not accepted."""
-    about = dict(zip(row, row[1:], strict=False))  # by name, as a take's name may have commas
+    about = dict(pairwise(row))  # by name, as a take's name may have commas
+    if not re.fullmatch(r'\d+\.\d+', version := about.get('Format Version', '')):
+        raise ValueError("expected 'Format Version' and its number, separated by a comma")
+    if float(version) < OLDEST_FORMAT:
+        raise BellowsError(f"'{path}' has Format Version {version}; expected {OLDEST_FORMAT} to "
+                           '1.25. Export the take again with a newer Motive.')
     for name, accepted in SETTINGS.items():
         value = about.get(name, '' if name == 'Length Units' else next(iter(accepted)))
         if value not in accepted:

@@ -15,20 +15,26 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.parameters import checks
+from bellows_ros.core.parameters.conversion import tip_of
+from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment, preparation, recording
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import (
     noise_of,
     RecordedPoses,
+    tool_z,
     twist_errors,
     TWIST_TOLERANCE,
+    upright_offset,
+    UPRIGHT_OFFSETS,
 )
 from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
 from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
     PoseStream,
     same_frame,
+    streams_at_tip,
     TwistStream,
 )
 from bellows_ros.errors import BellowsError
@@ -41,12 +47,8 @@ from bellows_ros.workflows.holds import is_named, SIGNALS
 from bellows_ros.workflows.recordings import sensor_findings, tag_sought, within_interval
 import numpy as np
 
-FLANGE_OUTWARD = '0 0 0 1 0 0 0'
+FLANGE_OUTWARD = UPRIGHT_OFFSETS[2, False]
 """Pose of the tool tip in a flange with z out of the arm: a half turn about x."""
-
-FLANGE_ANGLE = np.deg2rad(160.0)
-"""Smallest angle of z of the tool from the vertical, rad, at which axes aligned at rest also
-indicate a flange with z out of the arm."""
 
 IMPLAUSIBLE_DISTANCE = (0.3, 10.0)
 """Range of distances that are implausible for a package on its tool, m."""
@@ -237,7 +239,7 @@ def info(path: File, given: Mapping[str, Any] = MappingProxyType({})) -> Info:
     poses = {s.name: s for s in streams.values() if isinstance(s, PoseStream) and len(s) > 2}
     twists = {s.name: s for role, s in streams.items() if isinstance(s, TwistStream)
               and role.endswith('twist') and len(s) > 2}
-    found = _with_roles(path, described, poses, twists)
+    found = _with_roles(path, described, poses, twists, str(given.get('tool_pose.offset', '')))
     return found._replace(settings={**found.settings, **given, 'bags': found.settings['bags']})
 
 
@@ -281,9 +283,9 @@ def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
 
 def _with_roles(
     path: File, described: tuple[TopicInfo, ...], poses: Mapping[str, PoseStream],
-    twists: Mapping[str, TwistStream]
+    twists: Mapping[str, TwistStream], offset: str
 ) -> Info:
-    """Return the recording with roles, settings and findings."""
+    """Return the recording with roles, settings and findings, for a given tool_pose.offset."""
     pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
     pair = max(filter(None, pairs), key=lambda pair: pair.score, default=None)
     tool, package = (pair.tool, pair.package) if pair else _roles_by_name(poses)
@@ -306,7 +308,7 @@ def _with_roles(
         settings['fit.method'] = 'output_error'
     if len(streams) == 2:
         findings = _both_bodies(
-            pair, streams, twist and twists[twist.topic], settings, findings)
+            pair, streams, twist and twists[twist.topic], settings, findings, offset)
     else:
         findings.append(Finding('needs_both_poses'))
     return Info(str(Path(path)), described, tool, package, twist, settings, tuple(findings))
@@ -314,13 +316,17 @@ def _with_roles(
 
 def _both_bodies(
     pair: BodyPair | None, streams: Sequence[PoseStream], twist: TwistStream | None,
-    settings: dict[str, Any], findings: list[Finding]
+    settings: dict[str, Any], findings: list[Finding], given_offset: str
 ) -> list[Finding]:
     """Add settings on both poses; return the findings."""
     tool, package = streams
     R = alignment.world_rotation(pair.world if pair else 'z_up')
-    remarked = pose_remarks(RecordedPoses(
-        tool, package, R, twist=twist, twist_frame=settings.get('tool_twist.frame', 'world')))
+    offset = '' if given_offset else upright_offset(tool.rotation, R)
+    outward = [*tool_z(RecordedPoses(tool, package, R))] if offset else []
+    frame = settings.get('tool_twist.frame', 'world')
+    tool, twist = streams_at_tip(tool, twist, tip_of(Values(
+        {'tool_pose.offset': offset or given_offset})), frame == 'world')
+    remarked = pose_remarks(RecordedPoses(tool, package, R, twist=twist, twist_frame=frame))
     found = [remark for remark in remarked if remark.code != 'tool_z']  # has a setting
     is_wrong = any(each.level == Level.ERROR for each in found)
     separate = None if is_wrong else _why_separate(pair, tool, package)
@@ -343,9 +349,9 @@ def _both_bodies(
     if wrong := [each for each in found if each.level == Level.ERROR]:  # others are doubtful then
         return [*wrong]
     is_aligned = settings.get('recording.align_at_rest')
-    outward = [remark for remark in remarked if remark.code == 'tool_z' and (
-        not is_aligned or remark.numbers['angle'] > FLANGE_ANGLE)]
-    settings |= {'tool_pose.offset': FLANGE_OUTWARD} if outward else {}
+    if down := [remark for remark in remarked if remark.code == 'tool_z' and not is_aligned]:
+        outward, offset = down, FLANGE_OUTWARD
+    settings |= {'tool_pose.offset': offset} if offset else {}
     return [*outward, *findings, *found, *more]
 
 

@@ -1,7 +1,8 @@
 """TUM files, and Motive's CSV exports in the layouts of formats 1.22 to 1.25."""
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime, UTC
 
 from bellows_ros.errors import BellowsError
 from bellows_ros.files.trajectory_files import is_motive, read_motive, read_tum
@@ -114,7 +115,19 @@ def test_all_layouts_are_read(settings, timecode, tmp_path):
     columns = [*pose('Hip', kind='Bone'), *pose('Tool'), *marker('Marker', 'Loose 1', ('1', ''))]
     (tool,) = read_motive(layout(tmp_path / 'take.csv', columns, settings, timecode))
     np.testing.assert_allclose(tool.values[0], [0.1, 1.2, 0.005, 0.0, 0.6, 0.0, -0.8])
-    assert tool.stamps_ns[0] == 10**9
+    start = datetime(2018, 10, 5, 0, 5, 3, tzinfo=UTC) if settings == V22 else datetime(
+        2023, 6, 2, 12, 9, 45, tzinfo=UTC)
+    assert tool.stamps_ns[0] // 10**9 == start.timestamp()
+
+
+def test_axes_may_be_lower_case_and_rows_of_the_header_short(tmp_path):
+    """As other programs write a take again."""
+    columns = [replace(each, axis=each.axis.lower()) for each in pose('Tool')]
+    file = layout(tmp_path / 'take.csv', [*columns, *marker('Marker', '', ('', ''))], V24, True)
+    text = file.read_text(encoding='utf-8-sig')
+    file.write_text(text.replace(',Marker,Marker,Marker', ''))
+    (tool,) = read_motive(file)
+    np.testing.assert_allclose(tool.values[0], [0.1, 1.2, 0.005, 0.0, 0.6, 0.0, -0.8])
 
 
 def test_markers_belong_to_the_body_with_the_longest_name(tmp_path):
@@ -153,7 +166,13 @@ def test_bodies_are_read_and_bad_frames_left_out(tmp_path):
     (('Global', 'Local'), "Coordinate Space 'Local'.* Global"),
     (('Length Units,Meters', 'Length Units,Feet'), 'Feet.* Meters or Centimeters'),
     (('Length Units,Meters,', ''), 'Meters or Centimeters'),
-    (('Format Version', 'Version'), None), ((',', ';'), 'Header Information'),
+    (('Format Version', 'Version'), None), ((',', ';'), 'line 1: .*Header Information'),
+    (('Format Version,1.23', 'Format Version,1.1'), r'Format Version 1\.1; expected 1\.2'),
+    ((',Type,', ',Kind,'), "line 7: expected the row 'Type'"),
+    (('Frame,Time', 'Image,Time'), 'line 11: expected the row of axes'),
+    (('0.998', 'good'), 'line 8: expected a number in column 14'),
+    (('Plate', 'Tool'), "line 7: expected one rigid body 'Tool', got several"),
+    (('Position', 'Place'), "line 7: expected the column 'position x' of 'Tool'"),
     ((f'3,{3 / RATE:.6f}', '3,1e20'), 'time in s')])
 def test_other_exports_are_refused(change, named, tmp_path):
     """Name what to change in the export; make no stamp of a time that none can hold."""

@@ -58,7 +58,7 @@ def test_a_take_becomes_topics_of_its_bodies(tmp_path):
 def test_unusual_properties_of_a_take_are_reported(tmp_path):
     """Name a body that was never tracked and a take without a date; refuse one without poses."""
     never = [replace(column, cells=('', '')) for column in pose('Plate')]
-    file = layout(tmp_path / 'take.csv', pose('Tool') + never, V24)
+    file = layout(tmp_path / 'take.csv', pose('Tool') + never, V24.replace('Start Time', 'Time'))
     done = convert([file], tmp_path / 'bag')
     assert [body.poses for body in done.bodies] == [2, 0]
     assert done.notes == (

@@ -8,6 +8,7 @@ from bellows_ros.report.printed import cell_file
 from bellows_ros.workflows.info import info
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
 RATE_HZ, SECONDS, REST = 200.0, 6.0, 1.0
@@ -166,3 +167,20 @@ def test_a_recorded_vacuum_is_proposed(m, tmp_path, signal, topic, kind):
         tmp_path, poses('/tcp/pose', m['t'], m['o'], m['R']),
         poses('/box/pose', m['t'], m['o_p'], m['R_p']), switch)
     assert found.settings['vacuum.signal'] == signal
+
+
+@pytest.mark.parametrize(('rotation', 'offset'), [
+    (R_WORLD_MOTIVE, '0 0 0 -0.7071 0 0 0.7071'),  # y up, as a body created upright in Motive
+    (exp_so3(np.array([0.0, 1.5708, 0.0])), '0 0 0 0 -0.7071 0 0.7071'),
+    (exp_so3(np.array([3.1416, 0.0, 0.0])), '0 0 0 1 0 0 0')])
+def test_the_vertical_axis_of_the_tool_becomes_its_z_axis(m, tmp_path, rotation, offset):
+    """As an own formula has it: the offset turns z of E to the axis that is vertical."""
+    found = described(
+        tmp_path, poses('/arm', m['t'], m['o'], m['R'] @ rotation),
+        poses('/plate', m['t'], m['o_p'], m['R_p'] @ rotation))
+    assert found.settings['tool_pose.offset'] == offset
+    assert found.settings['recording.align_at_rest'] is True  # for the package
+    turn = Rotation.from_quat([float(x) for x in offset.split()[3:]]).as_matrix()
+    assert (rotation @ turn)[2, 2] == pytest.approx(1.0, abs=1e-4)
+    given = info(tmp_path / 'bag', {'tool_pose.offset': offset})
+    assert not any('of the tool' in note and 'vertical' in note for note in given.notes)

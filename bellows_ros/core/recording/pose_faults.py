@@ -98,6 +98,15 @@ MAX_UP = -0.5
 """Largest vertical component of the tool's z axis (median) that points out of the arm: 120 degrees
 from the vertical, beyond any tilt of a recording."""
 
+MAX_AXIS_ANGLE = np.deg2rad(20.0)
+"""Largest angle of a vertical axis of the tool from the vertical, rad (median of the motion)."""
+
+UPRIGHT_OFFSETS = {
+    (0, True): '0 0 0 0 0.7071 0 0.7071', (0, False): '0 0 0 0 -0.7071 0 0.7071',
+    (1, True): '0 0 0 -0.7071 0 0 0.7071', (1, False): '0 0 0 0.7071 0 0 0.7071',
+    (2, False): '0 0 0 1 0 0 0'}
+"""Poses of an E with z up, by the vertical axis of the tool's frame (0 for x) and its sense."""
+
 TWIST_WINDOW = 0.05
 """Time over which a twist is compared with poses, s: a sixth of a swing."""
 
@@ -380,7 +389,18 @@ def tool_z(poses: RecordedPoses) -> Iterator[Finding]:
     if up < MAX_UP and not poses.aligned:
         yield Finding('tool_z', Level.ERROR, {'angle': angle}, 'tool')
     elif up < UPRIGHT and not poses.aligned:
-        yield Finding('sideways', Level.ERROR, {'angle': angle}, 'tool')
+        offset = upright_offset(poses.tool.rotation, poses.R_world_recorded)
+        yield Finding('sideways', Level.ERROR, {
+            'angle': angle, 'offset': f" to '{offset}', as another axis is vertical" * bool(offset)
+            }, 'tool')
+
+
+def upright_offset(rotation: Array, R: Array) -> str:
+    """Return the tool_pose.offset with z along the vertical axis of the tool; '' for none or z."""
+    vertical = np.median(R[2] @ rotation, axis=0)  # in axes of the tool
+    axis = int(np.argmax(np.abs(vertical)))
+    is_axis = abs(vertical[axis]) > np.cos(MAX_AXIS_ANGLE)
+    return UPRIGHT_OFFSETS.get((axis, vertical[axis] > 0.0), '') if is_axis else ''
 
 
 def tool_up(rotation: Array, R: Array) -> tuple[float, float]:
