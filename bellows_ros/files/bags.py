@@ -13,6 +13,7 @@ import heapq
 from itertools import repeat
 import os
 from pathlib import Path
+import re
 import sqlite3
 from typing import Any, NamedTuple
 
@@ -311,10 +312,21 @@ def _topic_of_role(path: File, role: str, name: str, recorded: Sequence[TopicCou
     others = ', '.join(each.name for each in recorded if each.type_name in types)
     there = ', '.join(f'{each.name} ({each.type_name})' for each in recorded)
     raise NoTopicError(
-        (f'{where} is of type {own[0].type_name}; accepted are {", ".join(types)}. ' if own else
+        (f'{where} is of type {own[0].type_name}; accepted are {", ".join(types)}. '
+         f'{SEVERAL_BODIES * has_several_bodies(own[0].type_name)}' if own else
          f"Topic '{name}' is not in recording '{path}'. ")
         + (f'Set {setting} to one of: {others}.' if others else
            f'None is of a type for {setting}; there are: {there or "none"}.'))
+
+
+SEVERAL_BODIES = (
+    'A message of several bodies is not read: let its driver publish a PoseStamped for each body, '
+    "or export the poses as text and use 'bellows convert'. ")
+
+
+def has_several_bodies(type_name: str) -> bool:
+    """Return whether messages of a type seem to hold the poses of several bodies."""
+    return bool(re.search('(PoseArray|BodyArray|Bodies|Poses|Markers|Subjects)$', type_name))
 
 
 def absolute(topic: str) -> str:

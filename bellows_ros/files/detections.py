@@ -16,7 +16,7 @@ from bellows_ros.core.sensors.camera import (
     tags_shown,
 )
 from bellows_ros.core.signals.screening import repeated, unusable_stamps
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, same_frame
 from bellows_ros.errors import BellowsError, NoTopicError, shown
 from bellows_ros.files import bags, File, messages
 from bellows_ros.files.bags import absolute, Contents
@@ -183,7 +183,7 @@ def _calibration(path: File, frame: str, rectified: bool) -> tuple[Camera, str]:
     """Return the camera of a frame, and the topic of its calibration."""
     found: dict[Camera, str] = {}
     for topic, _, info in bags.messages_of(path, {CAMERA_INFO}):
-        if info.header.frame_id == frame:
+        if same_frame(info.header.frame_id, frame):
             found.setdefault(camera_of(info, rectified), topic)
     if not found:
         raise BellowsError(

@@ -159,7 +159,8 @@ class Decoder:
         sizes, strings = range(form.size, form.size + _MAX_PADDING + 1), data[_STRINGS_AT:end]
         if len(data) not in sizes:
             return None
-        self._names, self._sizes, self._unpack = names, sizes, form.unpack_from
+        self._names = tuple(name.removeprefix('/') for name in names)  # as tf2
+        self._sizes, self._unpack = sizes, form.unpack_from
         self._strings = strings  # with any bytes in its gaps
         return self(data)
 

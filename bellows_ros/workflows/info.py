@@ -310,7 +310,9 @@ def _with_roles(
         findings = _both_bodies(
             pair, streams, twist and twists[twist.topic], settings, findings, offset)
     else:
-        findings.append(Finding('needs_both_poses'))
+        several = [topic.name for topic in described if bags.has_several_bodies(topic.type_name)]
+        findings.append(Finding('needs_both_poses', numbers={
+            'cause': f' {", ".join(several)}: {bags.SEVERAL_BODIES.rstrip()}' if several else ''}))
     return Info(str(Path(path)), described, tool, package, twist, settings, tuple(findings))
 
 

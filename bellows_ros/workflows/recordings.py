@@ -25,7 +25,7 @@ from bellows_ros.core.recording.recording import PrepareSettings, Recording, Tim
 from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.signals import trajectory
 from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, TwistStream
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, same_frame, TwistStream
 from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
 from bellows_ros.files import detections, File, parameter_files, results
 from bellows_ros.report.findings import prevents, text
@@ -268,7 +268,8 @@ def in_camera(package: PoseStream, world: str, values: Values) -> PoseStream:
         given.
 
     """
-    if not values.measured.tag_size or package.corners is not None or package.frame_id != world:
+    if not values.measured.tag_size or package.corners is not None or not same_frame(
+            package.frame_id, world):
         return package
     if values.recording.package_world in ('', checks.ESTIMATE):
         raise BellowsError(

@@ -2,7 +2,8 @@
 
 from bellows_ros.core.geometry.lie import apply, exp_so3, rotation_to_quaternion
 from bellows_ros.core.recording.alignment import R_WORLD_MOTIVE
-from bellows_ros.files.bags import as_messages, Encoded, write_bag
+from bellows_ros.errors import BellowsError
+from bellows_ros.files.bags import as_messages, Encoded, read_streams, write_bag
 from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.report.printed import cell_file
 from bellows_ros.workflows.info import info
@@ -129,16 +130,20 @@ def test_the_rate_of_repeated_poses_is_that_of_the_sensor(m, tmp_path):
 
 def test_one_body_alone_is_reported_as_insufficient(m, tmp_path):
     """Use the name where there is nothing to compare with."""
-    found = described(tmp_path, poses('/ur/tcp_pose', m['t'], m['o'], m['R']))
+    several = Encoded('/bodies', 'geometry_msgs/msg/PoseArray', np.array([START_NS]), [b''])
+    found = described(tmp_path, poses('/ur/tcp_pose', m['t'], m['o'], m['R']), several)
     assert found.tool and found.tool.topic == '/ur/tcp_pose'
     assert found.package is None
-    assert any('needed to identify a cup' in note for note in found.notes)
+    note, = (each for each in found.notes if 'needed to identify a cup' in each)
+    assert '/bodies: A message of several bodies' in note
+    with pytest.raises(BellowsError, match='PoseStamped for each body.*bellows convert'):
+        read_streams(tmp_path / 'bag', {'package_pose': '/bodies'})
 
 
 @pytest.mark.parametrize(('frame', 'late_s', 'aside', 'reason'), [
     ('camera', 0.0, 0.0, "frames are 'base' and 'camera'"),
     ('base', 100.0, 0.0, 'earlier than the stamp'), ('base', 0.0, 1.0, 'which changes by'),
-    ('base', 0.0, 0.0, '')])
+    ('base', 0.0, 0.0, ''), ('/base', 0.0, 0.0, '')])
 def test_two_worlds_or_clocks_are_all_set_free(m, tmp_path, frame, late_s, aside, reason):
     """Free world, clock and marker where frames, stamps or distances are not of one world."""
     R_world = exp_so3(np.array([0.4, 1.0, -0.7]) * aside)

@@ -235,8 +235,12 @@ class Filtered(Trajectory):
 
 
 def same_frame(*frame_ids: str) -> bool:
-    """Return whether frames may be one: a message without frame_id is in the expected frame."""
-    return len({*frame_ids} - {''}) < 2
+    """
+    Return whether frames may be one.
+
+    A message without frame_id is in the expected frame; tf2 ignores a slash before a name.
+    """
+    return len({name.removeprefix('/') for name in frame_ids} - {''}) < 2
 
 
 def uniform_rate_hz(stamps_ns: Stamps) -> float:
