@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import apply, exp_so3
+from bellows_ros.core.identification.validation import Validation
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.residuals import (
@@ -98,8 +99,7 @@ def write(path: File, result: CommandResult) -> None:
     require_ending(path)
     if Path(path).suffix.lower() != '.gif':
         return write_figure(path, figure_of(result))
-    shown = result.shown()
-    write_bytes(path, animation([*DRAWINGS[type(shown).__name__][1](shown)]))
+    write_bytes(path, animation([*DRAWINGS[type(result).__name__][1](result)]))
 
 
 def write_figure(path: File, figure: Any) -> None:
@@ -137,9 +137,8 @@ def picture(title: str, note: str, size: tuple[float, float] = (9.4, 7.2)) -> It
 
 
 def figure_of(result: CommandResult) -> Any:
-    """Return the figure of a result; of an identification, of its first free simulation."""
-    shown = result.shown()
-    return DRAWINGS[type(shown).__name__][0](shown)
+    """Return the figure of a result."""
+    return DRAWINGS[type(result).__name__][0](result)
 
 
 CommandResult.figure = figure_of
@@ -306,13 +305,21 @@ def envelope(seconds: Array, values: Array) -> tuple[Array, Array, Array]:
     return 0.5 * (edges[:-1] + edges[1:]), low, high
 
 
-def replay_figure(result: Any) -> Any:
-    """Draw the free simulation of a replay."""
-    found, since = result.validation, result.recording.since_start
+def simulation_figure(found: Validation) -> Any:
+    """Draw the free simulation of a recording."""
+    since = found.recording.since_start
     return comparison_figure(
         since(found.stamps_ns), found, 'Package: predicted, and measured',
-        f'{result.bag}, relative to the tool', found.corners and (
+        f'{found.recording.name}, relative to the tool', found.corners and (
             since(found.tool.stamps_ns), relative_coordinates(found.tool, found.package)))
+
+
+def first_simulation(result: Any) -> Validation:
+    """Return the first free simulation with an identified cup."""
+    simulations: tuple[Validation, ...] = result.verdict.simulations
+    if not simulations:
+        raise BellowsError('There is no picture: no recording can be simulated with this cup.')
+    return simulations[0]
 
 
 def _plan_note(report: Any, is_part: bool, has_bands: bool) -> str:
@@ -416,16 +423,22 @@ def toss_figure(result: Any) -> Any:
 # ----------------------------------------------------------------------------------- animations
 
 
-def replay_scenes(result: Any) -> Iterator[Scene]:
-    """Yield the free simulation of a replay, with the measured package."""
-    validation = result.validation
+def simulation_scenes(validation: Validation, values: Values) -> Iterator[Scene]:
+    """Yield the free simulation of a recording, with the measured package."""
     tool, package = (resample(body, validation.stamps_ns)
                      for body in (validation.tool, validation.package))
     position, rotation = np.hsplit(validation.measured, 2)
     outline = Trajectory(
         tool.stamps_ns, tool.position + apply(tool.rotation, np.nan_to_num(position)),
         tool.rotation @ exp_so3(np.nan_to_num(rotation)))
-    yield Scene(f'{result.bag}; violet: measured', tool, package, outline, result.values)
+    yield Scene(f'{validation.recording.name}; violet: measured', tool, package, outline, values)
+
+
+def identification_scenes(result: Any) -> Iterator[Scene]:
+    """Yield the first free simulation with an identified cup."""
+    simulation = first_simulation(result)
+    return simulation_scenes(simulation, result.cup_values().replaced({
+        'package.com': tuple(simulation.recording.payload.com.tolist())}))
 
 
 def plan_scenes(result: Any) -> Iterator[Scene]:
@@ -497,6 +510,9 @@ def _bodies(panel: Any, scene: Scene, t: float) -> list[Any]:
 
 
 DRAWINGS: Mapping[str, tuple[Callable[[Any], Any], Callable[[Any], Iterator[Scene]]]] = {
-    'Replay': (replay_figure, replay_scenes), 'PlanReport': (plan_figure, plan_scenes),
-    'TossResult': (toss_figure, plan_scenes)}
+    'Replay': (lambda result: simulation_figure(result.validation),
+               lambda result: simulation_scenes(result.validation, result.values)),
+    'Identification': (
+        lambda result: simulation_figure(first_simulation(result)), identification_scenes),
+    'PlanReport': (plan_figure, plan_scenes), 'TossResult': (toss_figure, plan_scenes)}
 """Functions that draw a result of a type: its figure, and the scenes of its animation."""

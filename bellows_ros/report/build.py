@@ -40,12 +40,13 @@ def page_of(result: Identification | Replay, parameter_files: Sequence[File] = (
     """Return the page of a result, with pictures of free simulations, which loads nothing."""
     origin = {**result.as_json()['provenance'], 'parameter_files': results.listed(parameter_files)}
     if isinstance(result, Identification):
-        title, replays = f'Cup identified from {", ".join(result.bags)}', result.replays()
-        text = printed(partial(print_identification, result))
+        title = f'Cup identified from {", ".join(result.bags)}'
+        text, simulations = printed(partial(print_identification, result)), (
+            result.verdict.simulations)
     else:
-        title, replays = f'Replay of {result.bag}', iter([result])
-        text = printed(partial(print_replay, result))
-    pictures = [plots.svg_of(plots.figure_of(each)) for each in replays]
+        title = f'Replay of {result.bag}'
+        text, simulations = printed(partial(print_replay, result)), (result.validation,)
+    pictures = [plots.svg_of(plots.simulation_figure(each)) for each in simulations]
     return PAGE.format(title=escape(shown(title)), parts='\n'.join(
         [text, *pictures, _origin(origin, result.values)]))
 

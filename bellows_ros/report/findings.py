@@ -1,6 +1,6 @@
 """Renderers of findings: sentences for the terminal and pages, an entry for JSON files."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 import re
@@ -30,8 +30,25 @@ def text(finding: Finding) -> str:
 
 def _sentence(finding: Finding, part: str) -> str:
     """Return a part of a fact, '' for none, with the numbers of the finding; some are optional."""
+    in_words = {name: words(finding.numbers[name]) for name, words in OTHER_FINDINGS.items()
+                if name in finding.numbers}
     return formatted(facts()[finding.code].get(part, ''), **{
-        **dict.fromkeys(OPTIONAL, ''), 'topic': finding.topic, **finding.numbers})
+        **dict.fromkeys(OPTIONAL, ''), 'topic': finding.topic, **finding.numbers, **in_words})
+
+
+def _numbered(causes: Iterable[Finding]) -> str:
+    """Return the numbered sentences of other findings."""
+    return ' '.join(f'{number}. {text(each)}' for number, each in enumerate(causes, 1))
+
+
+def _corrected(causes: Iterable[Finding]) -> str:
+    """Return the parameters that correct other findings; without any, the recording."""
+    return ' or '.join(name for each in causes for name in sets(each)) or 'the recording'
+
+
+OTHER_FINDINGS: Mapping[str, Callable[[Iterable[Finding]], str]] = {
+    'causes': _numbered, 'corrected': _corrected}
+"""Words for the numbers of findings that are other findings."""
 
 
 def warnings(findings: Iterable[Finding]) -> tuple[str, ...]:

@@ -57,10 +57,6 @@ class CommandResult:
         """
         write_json(path, {**self.as_json(), 'version': __version__})
 
-    def shown(self) -> 'CommandResult':
-        """Return the result that a picture shows."""
-        return self
-
     def plot(self) -> Any:
         """
         Draw the result.

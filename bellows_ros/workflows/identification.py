@@ -1,18 +1,25 @@
 """An identified cup as sentences, as a cup file, and as JSON."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.segments import ReducedRecording
-from bellows_ros.core.identification.unknowns import as_found, KINDS
+from bellows_ros.core.identification.unknowns import KINDS
+from bellows_ros.core.identification.verdict import (
+    cause_finding,
+    CHANGED,
+    estimates_of,
+    FitVerdict,
+    FREE_PARAMETERS,
+    UNTESTED,
+)
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.cup_package import TERMS
 from bellows_ros.core.model.structure import structure_named
@@ -23,7 +30,7 @@ from bellows_ros.core.recording.recording import Recording, TimeOffset
 from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
-from bellows_ros.errors import BellowsError, UnstableError
+from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.report.findings import entry
 from bellows_ros.report.findings import text as text_of
@@ -34,20 +41,9 @@ from bellows_ros.workflows.recordings import (
     Failed,
     is_measured,
     offset_findings,
-    values_of_each,
 )
 from bellows_ros.workflows.static import StaticResult
-from bellows_ros.workflows.verdict import (
-    CHANGED,
-    estimates_of,
-    FitVerdict,
-    FREE_PARAMETERS,
-    UNTESTED,
-)
 import numpy as np
-
-if TYPE_CHECKING:  # not needed by a plain identification
-    from bellows_ros.workflows.replay import Replay
 
 UNKNOWN_STD = 1e9
 """Standard error of an unidentifiable entry in parameter files."""
@@ -105,7 +101,7 @@ class Identification(CommandResult):
     @cached_property
     def envelope(self) -> validity_range.Envelope:
         """The validity range of the fit."""
-        simulated = [each.validation.envelope for each in self.replays()
+        simulated = [each.envelope for each in self.verdict.simulations
                      if each.recording.views]  # poses of a tag are too noisy
         moving = validity_range.joined_envelopes(
             simulated or [part.envelope for part in self.parts], self.values.vacuum.holding)
@@ -351,7 +347,7 @@ class Identification(CommandResult):
                 for name, (value, std, _) in self.found.items()},
             'usable': self.succeeded,
             'refusals': self.refusals,
-            'verdict': self.verdict,
+            'verdict': verdict_json(self.verdict),
             'recordings': [part.report for part in self.parts],
             'static': self.static,
             'envelope': self.envelope,
@@ -361,21 +357,6 @@ class Identification(CommandResult):
                 'versions': results.versions()},
             'failed': [{'bag': bag, 'error': reason} for bag, reason in self.failed],
             'version': __version__})
-
-    def shown(self) -> CommandResult:
-        """Return the first free simulation."""
-        return next(self.replays())
-
-    def replays(self) -> 'Iterator[Replay]':
-        """Yield free simulations of the recordings of the fit."""
-        from bellows_ros.workflows.replay import validated
-
-        parameters = dict(zip(map(str, self.values.bags), values_of_each(self.cup_values()),
-                              strict=True))
-        for number, recording in enumerate(self.recordings):
-            with suppress(UnstableError):
-                yield validated(parameters[recording.name],
-                                as_found(recording, self.fit.nuisances, number))
 
     @property
     def succeeded(self) -> bool:
@@ -436,6 +417,16 @@ def save(
         if path:
             result.require_usable(force)
             parameter_files.write_parameters(path, parameters(), result.header())
+
+
+def verdict_json(verdict: FitVerdict) -> dict[str, Any]:
+    """Return the JSON content on the verdict."""
+    return {
+        'free_simulations': verdict.simulated,
+        'excess': verdict.excess,
+        'hypotheses': [
+            {**results.attributes(each, 'name', 'value', 'share', 'certain', 'material'),
+             **entry(cause_finding(each, verdict.given))} for each in verdict.causing]}
 
 
 def fit_json(fit: Fit) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from bellows_ros.core.identification.segments import (
     reduced,
     whole_recordings,
 )
+from bellows_ros.core.identification.verdict import MAX_TESTED, verdict_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
@@ -35,7 +36,6 @@ from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
 from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
 from bellows_ros.workflows.static import read_standstills, StaticResult
-from bellows_ros.workflows.verdict import MAX_TESTED, verdict_of
 
 Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""

@@ -4,6 +4,7 @@ import dataclasses
 import io
 import re
 
+from bellows_ros.core.identification.verdict import verdict_of
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import digests
 from bellows_ros.report.build import page_of
@@ -44,4 +45,5 @@ def test_the_page_loads_nothing_and_has_what_the_command_prints(result, root):
 
 def test_a_cup_that_cannot_be_simulated_still_has_its_page(result):
     soft = dataclasses.replace(result.fit, parameters=result.fit.parameters * 5e-3)
-    assert '<svg ' not in page_of(dataclasses.replace(result, fit=soft))
+    verdict = verdict_of(soft, result.recordings, result.cup_length, result.values)
+    assert '<svg ' not in page_of(dataclasses.replace(result, fit=soft, verdict=verdict))

@@ -10,7 +10,7 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.model.cup_package import Cup, TERMS
 from bellows_ros.errors import shown
 from bellows_ros.report import sentences
-from bellows_ros.report.findings import entry, facts, prevents, text, warnings
+from bellows_ros.report.findings import entry, facts, OTHER_FINDINGS, prevents, text, warnings
 from bellows_ros.report.sentences import formatted, SENTENCE_UNITS
 from bellows_ros.report.text import law_sentence
 import numpy as np
@@ -82,6 +82,7 @@ def test_a_fact_makes_sentences(code):
             is_count = form.startswith('# ')
             assert is_count or unit in SENTENCE_UNITS or not unit or unit[-1] in 'defg%', form
             numbers[name] = 1 if is_count or form.endswith('d') else value if form else 'name'
+        numbers |= {name: (Finding('tool_z'),) for name in OTHER_FINDINGS.keys() & numbers.keys()}
         topic = numbers.pop('topic', '')
         made = text(Finding(code, Level.WARN, numbers, topic))
         assert made and '{' not in made

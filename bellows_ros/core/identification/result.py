@@ -233,18 +233,19 @@ class Fit:
         return structure_named(self.structure).labels
 
     @cached_property
-    def _indefinite(self) -> tuple[findings.Finding, ...]:
+    def indefinite(self) -> tuple[findings.Finding, ...]:
+        """Findings on indefinite matrices."""
         return definiteness_findings(self.stiffness, self.damping, self.structure)
 
     @property
     def findings(self) -> tuple[findings.Finding, ...]:
         """Findings on the estimation."""
-        return (*self._indefinite, *self.notes)
+        return (*self.indefinite, *self.notes)
 
     @property
     def usable(self) -> bool:
         """Whether the fit is a minimum usable for prediction: K definite, P semidefinite."""
-        return self.converged and not self._indefinite
+        return self.converged and not self.indefinite
 
 
 def definiteness_findings(

@@ -11,6 +11,7 @@ from bellows_ros.core.identification import estimate
 from bellows_ros.core.identification.fitting import fit
 from bellows_ros.core.identification.result import Cause
 from bellows_ros.core.identification.unknowns import as_found
+from bellows_ros.core.identification.verdict import cause_finding, verdict_of
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import RecordedPoses
@@ -22,7 +23,6 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.report.findings import prevents, text
 from bellows_ros.workflows.recordings import checked
 from bellows_ros.workflows.replay import validated
-from bellows_ros.workflows.verdict import cause_finding, verdict_of
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter

@@ -1,6 +1,6 @@
 """Quality of a cup, causes of a misfit, and the acceptance of the cup."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import math
 from operator import attrgetter
@@ -14,7 +14,12 @@ from bellows_ros.core.identification.estimate import MAX_NOISE_CHI2
 from bellows_ros.core.identification.fitting import HELD_OUT
 from bellows_ros.core.identification.result import Cause, Fit, MAJORITY
 from bellows_ros.core.identification.unknowns import as_found, given_std, payload_of
-from bellows_ros.core.identification.validation import corner_scores, MAX_NRMSE, validate
+from bellows_ros.core.identification.validation import (
+    corner_scores,
+    MAX_NRMSE,
+    validate,
+    Validation,
+)
 from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
@@ -24,7 +29,6 @@ from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.sensors import body
 from bellows_ros.core.signals.residuals import AXES
 from bellows_ros.errors import UnstableError
-from bellows_ros.report.findings import entry, sets, text
 import numpy as np
 
 MAX_TESTED = 3
@@ -129,6 +133,7 @@ class FitVerdict(NamedTuple):
     """
 
     simulated: tuple[Simulated, ...]
+    """Errors of the free simulations with a usable cup."""
     causing: tuple[Cause, ...]
     """Causes of a misfit, the likeliest first."""
     given: Values
@@ -143,6 +148,8 @@ class FitVerdict(NamedTuple):
     ratio."""
     changes: tuple[Change, ...] = ()
     """Changed given quantities, the largest change in stated standard deviations first."""
+    simulations: tuple[Validation, ...] = ()
+    """Free simulations with a definite cup that do not diverge."""
 
     @property
     def wrong(self) -> list[Cause]:
@@ -198,11 +205,11 @@ class FitVerdict(NamedTuple):
                 likely and likely[0].share >= MAJORITY or self._is_misfit))
         if is_sound:
             return ()
-        listed = ' '.join(f'{number}. {text(each)}' for number, each in enumerate(
-            (own for own in said if own.code != 'unknown_cause'), 1))
-        unknown = [own for own in said[:1] if own.code == 'unknown_cause']
-        return (*(self.sensor or unknown), *(
-            [Finding('likeliest', Level.WARN, {'causes': listed})] if likely else []))
+        found = self.sensor or tuple(own for own in said[:1] if own.code == 'unknown_cause')
+        if not likely:
+            return found
+        named = tuple(own for own in said if own.code != 'unknown_cause')
+        return (*found, Finding('likeliest', Level.WARN, {'causes': named}))
 
     @property
     def refusals(self) -> tuple[Finding, ...]:
@@ -212,22 +219,9 @@ class FitVerdict(NamedTuple):
             for simulated in self.simulated if simulated.unpredicted]
         reasons += self.contradicted
         if self.faults or self.wrong:
-            names = [name for each in self.wrong[:1]
-                     for name in sets(cause_finding(each, self.given))]
-            reasons.append(Finding('unusable', Level.ERROR, {
-                'why': 'the lines above name the cause',
-                'name': ' or '.join(names) or 'the recording'}))
+            reasons.append(Finding('wrong_data', Level.ERROR, {
+                'corrected': tuple(cause_finding(each, self.given) for each in self.wrong)}))
         return tuple(reasons)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the content for a JSON file."""
-        return {
-            'free_simulations': self.simulated,
-            'excess': self.excess,
-            'hypotheses': [
-                {'name': each.name, 'value': each.value, 'share': each.share,
-                 'certain': each.certain, 'material': each.material,
-                 **entry(cause_finding(each, self.given))} for each in self.causing]}
 
 
 UNTESTED = FitVerdict((), (), Values({}))
@@ -262,8 +256,9 @@ def verdict_of(
     if 'inertia' in fit.nuisances and not {'mass', 'inertia'} & {*fit.named}:
         ratio = float(  # one of the three moments may be uncertain
             np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0)))
+    ratings, simulations = _all_simulated(fit, tested, length + float(grown[0, 0]), given)
     verdict = FitVerdict(
-        tuple(_all_simulated(fit, tested, length + float(grown[0, 0]), given)), (), given,
+        tuple(ratings) if fit.usable else (), (), given, simulations=tuple(simulations),
         faults=tuple(remark for remark in remarks if remark.level == Level.ERROR),
         sensor=tuple(remark for remark in remarks if remark.code == 'sensor')[:1],
         log_inertia_ratio=ratio,
@@ -282,15 +277,34 @@ def verdict_of(
 
 def _all_simulated(
     fit: Fit, tested: Sequence[Recording], length: float, given: Values
-) -> Iterator[Simulated]:
-    """Yield free simulations of recordings with a usable cup of a length (m)."""
+) -> tuple[list[Simulated], list[Validation]]:
+    """
+    Simulate recordings freely with a definite cup of a length (m).
+
+    The results are the errors in each recording, and the simulations that do not diverge.
+    """
+    ratings, simulations = list[Simulated](), list[Validation]()
+    if fit.indefinite:
+        return ratings, simulations
     structure = given_structure(given)
     cup = gripper_of(
         one_cup_of(given).with_terms({**fit.terms, 'length': length}), structure.places)
     held = None if fit.held_out is None else _cup_of(fit.held_out, cup, structure)
-    for number, recording in enumerate(tested if fit.usable else ()):
-        yield _simulated(cup, as_found(recording, fit.nuisances, number),
-                         fit.noise_in_motion.get(number), held)
+    for number, recording in enumerate(tested):
+        recording = as_found(recording, fit.nuisances, number)
+        noise_in_motion = fit.noise_in_motion.get(number)
+        if recording.views and noise_in_motion is not None:
+            recording = recording.with_noise(noise_in_motion)
+        try:
+            simulation = validate(cup, recording)
+        except UnstableError:
+            unknown = np.full(6, np.nan)
+            ratings.append(Simulated(recording.name, unknown, unknown, unknown))
+            continue
+        simulations.append(simulation)
+        held_out = _held_out(held, recording) if held else None
+        ratings.append(_rating(simulation, noise_in_motion, held_out))
+    return ratings, simulations
 
 
 def off_given(change: Change, level: Level) -> Finding:
@@ -331,27 +345,19 @@ def _cup_of(theta: Array, cup: Cup, structure: Structure) -> Cup | None:
     return gripper_of(replace(cup, stiffness=K, damping=P), structure.places)
 
 
-def _simulated(
-    cup: Cup, recording: Recording, noise_in_motion: Array | None = None, held: Cup | None = None,
+def _rating(
+    simulation: Validation, noise_in_motion: Array | None, held_out: Array | None
 ) -> Simulated:
-    """Return a free simulation of a recording; a failed simulation explains no motion."""
-    if recording.views and noise_in_motion is not None:
-        recording = recording.with_noise(noise_in_motion)
-    try:
-        result = validate(cup, recording)
-    except UnstableError:
-        unknown = np.full(6, np.nan)
-        return Simulated(recording.name, unknown, unknown, unknown)
-    held_out = _held_out(held, recording) if held else None
-    if corners := result.corners:
+    """Return the errors of a free simulation, with the noise (6,) of moving poses if known."""
+    name = simulation.recording.name
+    if corners := simulation.corners:
         rms, noise, motion = map(np.atleast_1d, (corners.rms, corners.noise, corners.motion))
-        return Simulated(recording.name, rms, noise, motion, held_out, ('corners',))
-    noise = result.noise
+        return Simulated(name, rms, noise, motion, held_out, ('corners',))
+    noise = simulation.noise
     if noise_in_motion is not None:
         noise = np.sqrt(noise**2 + np.maximum(
-            noise_in_motion**2 - recording.body_noise[1].std**2, 0.0))
-    return Simulated(
-        recording.name, result.scores.rms, noise, result.scores.motion, held_out)
+            noise_in_motion**2 - simulation.recording.body_noise[1].std**2, 0.0))
+    return Simulated(name, simulation.scores.rms, noise, simulation.scores.motion, held_out)
 
 
 def _held_out(cup: Cup, recording: Recording) -> Array:

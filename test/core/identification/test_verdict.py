@@ -4,18 +4,18 @@ from dataclasses import replace
 
 from bellows_ros.core import findings
 from bellows_ros.core.findings import Level
+from bellows_ros.core.identification import verdict
 from bellows_ros.core.identification.result import Cause, Fit
+from bellows_ros.core.identification.verdict import cause_finding, Change, FitVerdict, Simulated
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.conversion import tag_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.faults import recording_remarks
 from bellows_ros.report.findings import text
-from bellows_ros.workflows import verdict
-from bellows_ros.workflows.verdict import cause_finding, Change, FitVerdict, Simulated
 import numpy as np
 import pytest
 
-from ..core.identification.laboratory import Laboratory, parameters
+from .laboratory import Laboratory, parameters
 
 
 def words(findings):
