@@ -8,25 +8,23 @@ from typing import Any, NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
-from bellows_ros.core.identification import fitting
-from bellows_ros.core.identification.estimate import Solution
-from bellows_ros.core.identification.least_squares import likely_delay
-from bellows_ros.core.identification.unknowns import KINDS, weak_prior
+from bellows_ros.core.geometry.arrays import Mask, Stamps
+from bellows_ros.core.identification.registration import (
+    registered_recording,
+    RegistrationSettings,
+    Streams,
+)
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
 from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
-from bellows_ros.core.recording.preparation import prepare, with_tool_earlier
 from bellows_ros.core.recording.prepared_faults import detected_tags
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
-from bellows_ros.core.sensors.body import middle_of
 from bellows_ros.core.signals import trajectory
-from bellows_ros.core.signals.residuals import DISPLAY_FACTORS
-from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, same_frame, TwistStream
-from bellows_ros.errors import BellowsError, NoTopicError, UndeterminedError, UnexplainedError
+from bellows_ros.core.signals.trajectory import NS_PER_S, PoseStream, same_frame
+from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import detections, File, parameter_files, results
 from bellows_ros.report.findings import prevents, text
 import numpy as np
@@ -240,13 +238,11 @@ def _prepared(
     require_none([remark for remark in found if remark.code != 'tool_at_rest'],  # keeps its stamps
                  'fit' if registers else 'replay')
     if registers:
-        recording = registered_recording(tool, package, twist, settings, values)
+        recording = registered_recording(
+            Streams(tool, package, twist), settings, RegistrationSettings.of(values))
     else:
-        if world:
-            pose = frames.pose_of(world)
-            package = frames.in_tool_world(package, pose, tool.frame_id)
-            settings = settings.in_world(pose)
-        recording = prepare(tool, package, settings, twist, marker_alignment(values))
+        recording = Streams(tool, package, twist).prepared(
+            settings, frames.pose_of(world) if world else None, marker_alignment(values))
     return _with_remarks(recording, (*recording.report.remarks, *found))
 
 
@@ -392,141 +388,3 @@ def prepare_settings(values: Values) -> PrepareSettings:
         gravity=values.gravity.magnitude,
         tool_twist_frame=values.tool_twist.frame,
         tag=conversion.tag_of(values))
-
-
-# ----------------------------------- registration: estimates of world, marker and clock
-
-
-def registered_recording(
-    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Values,
-) -> Recording:
-    """Return prepared streams, in the world of the tool and on its clock."""
-    failures, is_late = [], 'time_offset' in values.fit.free
-    for rough_s in frames.rough_offsets(
-            tool.trajectory(), package.trajectory()) if is_late else (0.0,):
-        try:
-            return _registered(
-                trajectory.earlier(tool, rough_s), package,
-                twist and trajectory.earlier(twist, rough_s), settings, values, rough_s)
-        except UndeterminedError as error:
-            failures.append(error)
-    raise failures[0]
-
-
-def _registered(
-    tool: PoseStream, package: PoseStream, twist: TwistStream | None, settings: PrepareSettings,
-    values: Values, rough_s: float,
-) -> Recording:
-    """Return prepared streams with clocks that differ by about rough_s, s."""
-    pose, alignment = _first_guess(tool, package, settings, values)
-
-    def filtered(alignment: frames.Alignment | None) -> Recording:
-        if pose is None:
-            return prepare(tool, package, settings, twist, alignment)
-        moved = frames.in_tool_world(package, pose, tool.frame_id)
-        return prepare(tool, moved, settings.in_world(pose), twist, alignment)
-
-    recording = filtered(alignment)
-    is_late = 'time_offset' in values.fit.free
-    late_s = likely_delay(recording) if is_late else None
-    if late_s:
-        tool, twist = trajectory.earlier(tool, late_s), twist and trajectory.earlier(twist, late_s)
-        rough_s, recording = rough_s + late_s, filtered(alignment)
-    tells_clock = is_late and (late_s is not None or len(
-        frames.rotation_correlation(tool.trajectory(), package.trajectory())[0]) > 0)
-    found = _estimated(recording, values, tells_clock)
-    changes, estimates = dict[str, Any](), {
-        name: found.estimate(name) for name in found.problem.places} if found else {}
-    world, world_std = estimates.get('package_world', (None, np.zeros(6)))
-    _require_world(values.fit.method, world_std)
-    (scale,), _ = estimates.get('scale', (np.zeros(1), None))
-    if scale and pose is not None:
-        package, pose, settings = _scaled(package, pose, settings, 1.0 + scale)
-        changes['scale'] = float(1.0 + scale) * values.measured.scale
-    if world is not None and pose is not None:
-        pose = frames.shifted_pose(pose, settings.R_world_recorded, middle_of(
-            recording.tracked_package)[:3], world)
-        changes['package_world'] = prepared.PackageWorld(pose, world_std)
-    marker, _ = estimates.get('package_marker', (np.zeros(6), None))
-    recording = filtered(_realigned(recording.alignment, marker))
-    if is_late:
-        recording, more = _on_one_clock(recording, rough_s, *estimates.get(
-            'time_offset', (np.zeros(1), np.array([np.inf]))))
-        changes |= more
-    return replace(recording, report=replace(recording.report, **changes))
-
-
-def _on_one_clock(
-    recording: Recording, rough_s: float, offset: Array, std: Array
-) -> tuple[Recording, dict[str, Any]]:
-    """Return a recording without the estimated offset (1,) of its clocks, s, and the report."""
-    if std[0] < KINDS['time_offset'].max_std:
-        return with_tool_earlier(recording, float(offset[0])), {
-            'time_offset': TimeOffset(rough_s + float(offset[0]), float(std[0]))}
-    return recording, {'remarks': (*recording.report.remarks, Finding('not_identifiable', numbers={
-        'label': 'The time offset', 'why': 'the recorded stamps are used unchanged',
-        'how': 'Record a motion that is richer in all directions'}))}
-
-
-def _is_marked(settings: PrepareSettings, values: Values) -> bool:
-    """Return whether the marker is free: at rest none can be aligned with an unknown world."""
-    return 'package_marker' in values.fit.free or settings.align_at_rest and (
-        values.recording.package_world == checks.ESTIMATE)
-
-
-def _estimated(recording: Recording, values: Values, tells_clock: bool) -> Solution | None:
-    """Return the fit of K and P with the free ones of clock, world, marker and scale, if any."""
-    names = [name for name, free in (
-        ('time_offset', tells_clock),
-        ('package_world', values.recording.package_world == checks.ESTIMATE),
-        ('package_marker', _is_marked(recording.settings, values)),
-        ('scale', 'scale' in values.fit.free)) if free]
-    return fitting.registered(
-        recording, conversion.given_structure(values), conversion.one_cup_of(values),
-        weak_prior(names)) if names else None
-
-
-def _scaled(
-    package: PoseStream, pose: Array, settings: PrepareSettings, scale: float
-) -> tuple[PoseStream, Array, PrepareSettings]:
-    """Return poses, camera pose (6,) and settings with lengths scaled about the camera."""
-    tag = settings.tag and replace(settings.tag, side=scale * settings.tag.side)
-    origin = pose[:3] if tag else scale * pose[:3]
-    return (replace(package, position=scale * package.position), np.append(origin, pose[3:]),
-            replace(settings, tag=tag))
-
-
-def _realigned(alignment: frames.Alignment, marker: Array) -> frames.Alignment:
-    """Return the alignment with the estimated error (6,) of the marker's frame."""
-    R = lie.exp_so3(marker[3:])  # origin_to_com is in lip axes, rotated by R
-    return replace(
-        alignment, R_package_markers_lip=alignment.R_package_markers_lip @ R,
-        origin_to_com=R.T @ (alignment.origin_to_com + marker[:3]))
-
-
-def _require_world(method: str, std: Array) -> None:
-    """Raise if the world is unidentifiable, for least squares, which take it as exact."""
-    if method == 'least_squares' and np.any(std > KINDS['package_world'].max_std):
-        each = [f'{x:.2g}' for x in DISPLAY_FACTORS * std]
-        raise UndeterminedError(
-            'recording.package_world is not identifiable from this recording: the standard '
-            f'errors are {", ".join(each[:3])} mm and {", ".join(each[3:])} degrees. Tilt '
-            'and turn the tool more, best with three standstills tilted to different sides, '
-            'or set its seven numbers.')
-
-
-def _first_guess(
-    tool: PoseStream, package: PoseStream, settings: PrepareSettings, values: Values,
-) -> tuple[Array | None, frames.Alignment | None]:
-    """Return the pose (7,) of the package's world, and the alignment of a marker, or None."""
-    world, com = values.recording.package_world, settings.payload.com
-    marked = _is_marked(settings, values)
-    estimate = world == checks.ESTIMATE
-    pose = None if estimate or not world else frames.pose_of(world)
-    if not (marked or estimate):
-        return pose, None
-    to_lip = None if marked else np.zeros(3) if settings.package_frame == 'lip' else -com
-    guess, grip = frames.hand_eye(
-        tool.trajectory(), package.trajectory(), values.cup.length, com, to_lip)
-    return guess if estimate else pose, grip
