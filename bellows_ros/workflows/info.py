@@ -1,15 +1,8 @@
-"""
-Contents and quality of a recording: topics, rates, gaps, and their probable roles.
-
-Tool and package are distinguished by their poses: the package hangs below the tool, at a nearly
-constant distance while both move. Names of topics decide only if the poses are ambiguous.
-"""
+"""Contents and quality of a recording: topics, rates, gaps, and their probable roles."""
 
 from collections.abc import Mapping, Sequence
-from itertools import permutations
 import os
 from pathlib import Path
-import re
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -24,12 +17,19 @@ from bellows_ros.core.recording.pose_faults import (
     noise_of,
     RecordedPoses,
     tool_z,
-    twist_errors,
-    TWIST_TOLERANCE,
     upright_offset,
     UPRIGHT_OFFSETS,
 )
-from bellows_ros.core.signals.resampling import at_sampling, common_span, resample, timing
+from bellows_ros.core.recording.roles import (
+    BodyPair,
+    Guess,
+    IMPLAUSIBLE_DISTANCE,
+    likeliest_pair,
+    MAX_CHANGE,
+    roles_by_name,
+    twist_of,
+)
+from bellows_ros.core.signals.resampling import at_sampling, common_span, timing
 from bellows_ros.core.signals.trajectory import (
     NS_PER_S,
     PoseStream,
@@ -50,25 +50,9 @@ import numpy as np
 FLANGE_OUTWARD = UPRIGHT_OFFSETS[2, False]
 """Pose of the tool tip in a flange with z out of the arm: a half turn about x."""
 
-IMPLAUSIBLE_DISTANCE = (0.3, 10.0)
-"""Range of distances that are implausible for a package on its tool, m."""
-
-MAX_CHANGE = 0.05
-"""Largest change of a plausible distance from tool to package, m."""
-
-TOOL_WORDS = frozenset('tool tcp ee eef effector flange arm robot gripper tip'.split())
-PACKAGE_WORDS = frozenset(
-    'package packet parcel box carton object item payload load plate workpiece camera marker tag '
-    'aruco apriltag'.split())
-
-MAX_DISTANCE = 1.0
-"""Largest distance of tool and package of one cup, m."""
-
-SAMPLES = 2000
-"""Number of compared samples of two streams."""
-
-KINDS = 'pose', 'twist'
-"""Contents of topics that are read."""
+READ_TYPES: Mapping[str, tuple[str, ...]] = {
+    'pose': (*accepted_types('pose'), DETECTIONS), 'twist': tuple(accepted_types('twist'))}
+"""Types of messages by their content, which is read."""
 
 
 class TopicInfo(NamedTuple):
@@ -117,51 +101,6 @@ class TopicInfo(NamedTuple):
     outliers: int = 0
     noise: Mapping[str, list[float]] = MappingProxyType({})
     remarks: tuple[Finding, ...] = ()
-
-
-class Guess(NamedTuple):
-    """
-    A probable topic for a role.
-
-    Parameters
-    ----------
-    topic : str
-    why : tuple of str
-        Evidence for the role.
-    frame : str
-        Value of tool_twist.frame with which a twist is consistent with the poses.
-
-    """
-
-    topic: str
-    why: tuple[str, ...]
-    frame: str = ''
-
-
-class BodyPair(NamedTuple):
-    """
-    A tool and its package.
-
-    Parameters
-    ----------
-    tool, package : Guess
-    world : str
-        Value of recording.world with the package below the tool; 'z_up' if undecided.
-    distance : float
-        Initial distance of tool and package, m.
-    change : float
-        Range of the distance from its 1 % to its 99 % quantile, m.
-    score : float
-        Score that grows with the likelihood.
-
-    """
-
-    tool: Guess
-    package: Guess
-    world: str
-    distance: float
-    change: float
-    score: float
 
 
 class Info(NamedTuple):
@@ -227,8 +166,7 @@ def info(path: File, given: Mapping[str, Any] = MappingProxyType({})) -> Info:
     counts = topics(path)
     wanted = {
         f'{topic.name} {kind}': topic.name for topic in counts if topic.messages
-        for kind in KINDS if topic.type_name in (
-            *accepted_types(kind), *[DETECTIONS] * (kind == 'pose'))}
+        for kind, types in READ_TYPES.items() if topic.type_name in types}
     tag = tag_sought(checks.resolve(given))
     contents = read_contents(path, wanted, tag) if wanted else Contents({}, {})
     problems = {wanted[role]: str(error) for role, error in contents.problems.items()}
@@ -248,7 +186,7 @@ def _describe_topic(
     start_ns: int,
 ) -> TopicInfo:
     """Return the description of a topic."""
-    kinds = [kind for kind in KINDS if f'{topic.name} {kind}' in streams]
+    kinds = [kind for kind in READ_TYPES if f'{topic.name} {kind}' in streams]
     if not kinds:
         return TopicInfo(*topic, problem=problems.get(topic.name, ''))
     stream = streams[f'{topic.name} {kinds[0]}']
@@ -257,11 +195,13 @@ def _describe_topic(
         start_ns=int(stream.stamps_ns[0]),
         duration_s=float(stream.stamps_ns[-1] - stream.stamps_ns[0]) / NS_PER_S,
         refused={reason: len(where) for reason, where in stream.refused.items()},
-        **(_describe_quality(stream, start_ns) if len(stream) > 2 else {}))
+        **_describe_quality(stream, start_ns))
 
 
 def _describe_quality(stream: bags.Stream, start_ns: int) -> dict[str, Any]:
-    """Return rate, gaps, and, for poses, outliers, noise and motion."""
+    """Return rate, gaps, and, for poses, outliers, noise and motion; nothing of two messages."""
+    if len(stream) <= 2:
+        return {}
     time = timing(stream.stamps_ns)
     quality: dict[str, Any] = {
         'rate_hz': time.rate_hz,
@@ -286,19 +226,19 @@ def _with_roles(
     twists: Mapping[str, TwistStream], offset: str
 ) -> Info:
     """Return the recording with roles, settings and findings, for a given tool_pose.offset."""
-    pairs = [_pair_of(poses[tool], poses[package]) for tool, package in permutations(poses, 2)]
-    pair = max(filter(None, pairs), key=lambda pair: pair.score, default=None)
-    tool, package = (pair.tool, pair.package) if pair else _roles_by_name(poses)
-    twist = _twist_of(poses[tool.topic], twists) if tool else None
-    settings: dict[str, Any] = {
-        'bags': (os.fspath(path),),
-        **{f'topics.{role}': guess.topic for role, guess in
-           (('tool_pose', tool), ('package_pose', package)) if guess},
-        **({'topics.tool_twist': ''} if twist is None else
-           {'topics.tool_twist': twist.topic, 'tool_twist.frame': twist.frame}),
-        **next(({'vacuum.signal': signal} for signal, (kind, name) in SIGNALS.items()
-                for topic in described if topic.type_name == kind
-                and is_named(topic.name, name)), {})}
+    pair = likeliest_pair(poses)
+    tool, package = (pair.tool, pair.package) if pair else roles_by_name(poses)
+    twist = twist_of(poses[tool.topic], twists) if tool else None
+    settings: dict[str, Any] = {'bags': (os.fspath(path),)}
+    if tool:
+        settings['topics.tool_pose'] = tool.topic
+    if package:
+        settings['topics.package_pose'] = package.topic
+    settings['topics.tool_twist'] = twist.topic if twist else ''
+    if twist:
+        settings['tool_twist.frame'] = twist.frame
+    if signal := _vacuum_signal(described):
+        settings['vacuum.signal'] = signal
     used = {guess.topic for guess in (tool, package, twist) if guess}
     findings = [Finding('left_out', Level.WARN, {
         'part': topic.name, 'reason': topic.problem}) for topic in described if topic.problem]
@@ -314,6 +254,14 @@ def _with_roles(
         findings.append(Finding('needs_both_poses', numbers={
             'cause': f' {", ".join(several)}: {bags.SEVERAL_BODIES.rstrip()}' if several else ''}))
     return Info(str(Path(path)), described, tool, package, twist, settings, tuple(findings))
+
+
+def _vacuum_signal(described: Sequence[TopicInfo]) -> str:
+    """Return the value of vacuum.signal for the topics of a recording, '' without a vacuum."""
+    for signal, (kind, name) in SIGNALS.items():
+        if any(topic.type_name == kind and is_named(topic.name, name) for topic in described):
+            return signal
+    return ''
 
 
 def _both_bodies(
@@ -337,8 +285,11 @@ def _both_bodies(
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
             'recording.package_frame': 'com'}
-        found += (of_tag := sensor_findings(package, package.corners is not None))
-        settings['fit.free'] = ('time_offset', 'package_marker', *['scale'] * bool(of_tag))
+        of_tag = sensor_findings(package, package.corners is not None)
+        found += of_tag
+        settings['fit.free'] = ('time_offset', 'package_marker')
+        if of_tag:
+            settings['fit.free'] += ('scale',)
         more.append(Finding('freed', Level.OK, {'names': settings['fit.free']}))
     elif pair:
         settings['recording.world'] = pair.world
@@ -348,12 +299,14 @@ def _both_bodies(
         more += of_rest
     if not (separate or any(each.level == Level.ERROR for each in remarked)):
         found += _prepared_remarks(tool, package, settings)
-    if wrong := [each for each in found if each.level == Level.ERROR]:  # others are doubtful then
-        return [*wrong]
-    is_aligned = settings.get('recording.align_at_rest')
-    if down := [remark for remark in remarked if remark.code == 'tool_z' and not is_aligned]:
+    wrong = [each for each in found if each.level == Level.ERROR]
+    if wrong:  # other findings are doubtful then
+        return wrong
+    down = [remark for remark in remarked if remark.code == 'tool_z']
+    if down and not settings.get('recording.align_at_rest'):
         outward, offset = down, FLANGE_OUTWARD
-    settings |= {'tool_pose.offset': offset} if offset else {}
+    if offset:
+        settings['tool_pose.offset'] = offset
     return [*outward, *findings, *found, *more]
 
 
@@ -361,10 +314,10 @@ def _prepared_remarks(
     tool: PoseStream, package: PoseStream, settings: Mapping[str, Any]
 ) -> tuple[Finding, ...]:
     """Return the remarks of the checks on the prepared recording, none if it is too short."""
+    given = {name: settings[f'recording.{name}'] for name in ('world', 'align_at_rest')
+             if f'recording.{name}' in settings}
     try:
-        prepared = preparation.prepare(tool, package, recording.PrepareSettings(**{
-            name.removeprefix('recording.'): settings[name] for name in settings if name in (
-                'recording.world', 'recording.align_at_rest')}))
+        prepared = preparation.prepare(tool, package, recording.PrepareSettings(**given))
     except BellowsError:
         return ()
     return recording_remarks(prepared)
@@ -380,9 +333,9 @@ def _why_separate(
             'why': ": their frames are '{tool}' and '{package}'".format(**frames)})
     first, last = common_span(tool, package)
     if last < first:
+        late_ns = int(tool.stamps_ns[0] - package.stamps_ns[0])
         return Finding('time_offset', Level.WARN, {
-            'size': abs(late_ns := int(tool.stamps_ns[0] - package.stamps_ns[0])) / NS_PER_S,
-            'side': 'later' if late_ns > 0 else 'earlier'})
+            'size': abs(late_ns) / NS_PER_S, 'side': 'later' if late_ns > 0 else 'earlier'})
     low, high = IMPLAUSIBLE_DISTANCE
     if pair and low < pair.distance < high and pair.change > MAX_CHANGE:
         return Finding('package_world', Level.WARN, {
@@ -406,83 +359,11 @@ def _initial_rest(
     # An off-centre package is also rotated, and a fit estimates its marker.
     aligned = rest.is_turned and not separate and bool(
         rest.tilts[0] > np.deg2rad(1.0) or rest.turned > np.deg2rad(10.0))
-    numbers = {'distance': pair.distance, 'seconds': rest.seconds}
-    findings: list[Finding] = [Finding(code, Level.WARN, numbers) for code, applies in (
-        ('start_distance', not separate), ('short_rest', rest.seconds < alignment.MIN_REST))
-        if applies]
-    return {'recording.align_at_rest': aligned}, [
-        *findings, *(() if separate else rest.remarks)]
-
-
-def _roles_by_name(poses: Mapping[str, PoseStream]) -> tuple[Guess | None, Guess | None]:
-    """Return tool and package by name alone, None if undecided."""
-    tool, package = (
-        next((Guess(name, reason) for name in poses if (reason := _name_reason(name, words))
-              and not _name_reason(name, others)), None)
-        for words, others in ((TOOL_WORDS, PACKAGE_WORDS), (PACKAGE_WORDS, TOOL_WORDS)))
-
-    def rest(other: Guess | None) -> Guess | None:
-        return next((Guess(name, ('it is the only other topic',)) for name in poses
-                     if other and len(poses) == 2 and name != other.topic), None)
-
-    return tool or rest(package), package or rest(tool)
-
-
-def _name_reason(topic: str, words: frozenset[str]) -> tuple[str, ...]:
-    """Return the name as a reason, if it contains one of the words."""
-    there = "' and '".join(sorted(words.intersection(re.findall(r'[a-z]+', topic.lower()))))
-    return (f"its name contains '{there}'",) if there else ()
-
-
-def _pair_of(tool: PoseStream, package: PoseStream) -> BodyPair | None:
-    """Return two topics as tool and package with the reasons; None without a common time."""
-    first, last = common_span(tool, package)
-    if last <= first:
-        return None
-    stamps = np.unique(np.linspace(first, last, SAMPLES).astype(np.int64)).clip(first, last)
-    offset = np.subtract(*(resample(stream.trajectory(), stamps).position
-                           for stream in (package, tool)))
-    distances = np.linalg.norm(offset, axis=1)
-    start = offset[: max(1, int(len(offset) * 0.01))].mean(axis=0)
-    distance = float(np.linalg.norm(start))
-    usual = np.median(offset, axis=0)
-    down = {name: -float(alignment.world_rotation(name)[2] @ usual) for name in alignment.WORLDS}
-    lowest = max(down, key=lambda name: down[name])
-    is_comparable = same_frame(tool.frame_id, package.frame_id)
-    below = is_comparable and distance > 0.0 and (
-        down[lowest] > np.linalg.norm(usual) * np.cos(np.deg2rad(40.0)))
-    world = lowest if below else 'z_up'
-    low, quarter, most, high = np.percentile(distances, (1, 25, 75, 99))  # without tracking jumps
-    constant = is_comparable and distance < MAX_DISTANCE and (
-        most - quarter < 0.25 * distance) and (  # nearly constant for a package on a cup
-        distance < IMPLAUSIBLE_DISTANCE[0] or high - low < MAX_CHANGE)
-    why_tool = [*_name_reason(tool.name, TOOL_WORDS)]
-    why_package = [*_name_reason(package.name, PACKAGE_WORDS)]
-    if not is_comparable and len(tool.stamps_ns) > len(package.stamps_ns):
-        why_tool.append(f"it has more poses than '{package.name}'")
-    has_corners = package.corners is not None  # more precise than poses of the same tag
-    why_package += ['it has the corners of the tag'] * has_corners
-    score = (3.0 if constant else 1.0) * below + 2.0 * (constant + has_corners) + 1.5 * (
-        len(why_tool) + len(why_package))
-    if constant:
-        why_package.insert(0, f'it stays {1e3 * low:.1f} to {1e3 * high:.1f} mm from it')
-    if below:
-        why_tool.append(f"'{package.name}' hangs below it")
-        why_package.insert(0, f"it starts {distance * 1e3:.0f} mm from '{tool.name}', along "
-                           f"{'-z' if world == 'z_up' else '-y'}")
-    return BodyPair(
-        Guess(tool.name, tuple(why_tool)), Guess(package.name, tuple(why_package)), world,
-        distance, float(high - low), score)
-
-
-def _twist_of(tool: PoseStream, twists: Mapping[str, TwistStream]) -> Guess | None:
-    """Return the topic whose velocity matches the tool's poses, if any."""
-    errors = {name: found for name, twist in twists.items()
-              if (found := twist_errors(tool, twist)[0])}
-    name = min(errors, key=lambda name: min(errors[name].values()), default='')
-    if not name or (error := min(errors[name].values())) > TWIST_TOLERANCE:
-        return None
-    # without rotation of the tool both agree, and the usual one is selected
-    frame = 'world' if errors[name]['world'] <= 1.2 * errors[name]['tool'] else 'tool'
-    why = f'in {frame} axes it moves the tool as the poses do, to {100 * error:.1f} %'
-    return Guess(name, (why,), frame)
+    findings = []
+    if not separate:
+        findings.append(Finding('start_distance', Level.WARN, {'distance': pair.distance}))
+    if rest.seconds < alignment.MIN_REST:
+        findings.append(Finding('short_rest', Level.WARN, {'seconds': rest.seconds}))
+    if not separate:
+        findings += rest.remarks
+    return {'recording.align_at_rest': aligned}, findings
