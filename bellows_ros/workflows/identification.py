@@ -1,35 +1,25 @@
 """An identified cup as sentences, as a cup file, and as JSON."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 import math
 from typing import Any
 
 from bellows_ros.core.findings import Finding, Level
-from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.identification.estimates import com_change, Estimate, Estimates, terms_of
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.segments import ReducedRecording
-from bellows_ros.core.identification.unknowns import KINDS
 from bellows_ros.core.identification.verdict import (
     cause_finding,
-    CHANGED,
-    estimates_of,
     FitVerdict,
-    FREE_PARAMETERS,
     UNTESTED,
 )
 from bellows_ros.core.model import cup_package, validity_range
 from bellows_ros.core.model.cup_package import TERMS
-from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.parameters import checks, conversion, table
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording import alignment
-from bellows_ros.core.recording.recording import Recording, TimeOffset
-from bellows_ros.core.recording.standstills import with_standstills
-from bellows_ros.core.sensors.body import middle_of
-from bellows_ros.core.sensors.corners import USUAL_EXPOSURE
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
 from bellows_ros.report.findings import entry
@@ -39,7 +29,6 @@ from bellows_ros.workflows import CommandResult
 from bellows_ros.workflows.recordings import (
     estimate_finding,
     Failed,
-    is_measured,
     offset_findings,
 )
 from bellows_ros.workflows.static import StaticResult
@@ -66,6 +55,10 @@ class Identification(CommandResult):
         All given parameters of the run.
     parts : tuple of ReducedRecording
         Used recordings, reduced.
+    estimates : Estimates
+        Estimates jointly with K and P.
+    envelope : Envelope
+        Validity range of the fit.
     recordings : tuple of Recording
         The first of the used recordings, kept for later steps.
     static : StaticResult or None
@@ -82,6 +75,8 @@ class Identification(CommandResult):
     fit: Fit
     values: Values
     parts: tuple[ReducedRecording, ...]
+    estimates: Estimates
+    envelope: validity_range.Envelope
     recordings: tuple[Recording, ...] = ()
     static: StaticResult | None = None
     verdict: FitVerdict = UNTESTED
@@ -98,16 +93,10 @@ class Identification(CommandResult):
         """Cup length of the fit, m: given or estimated."""
         return self.parts[0].cup_length
 
-    @cached_property
-    def envelope(self) -> validity_range.Envelope:
-        """The validity range of the fit."""
-        simulated = [each.envelope for each in self.verdict.simulations
-                     if each.recording.views]  # poses of a tag are too noisy
-        moving = validity_range.joined_envelopes(
-            simulated or [part.envelope for part in self.parts], self.values.vacuum.holding)
-        if self.static is None:
-            return moving
-        return with_standstills(moving, self.static.standstills, self.cup_length)
+    @property
+    def found(self) -> Mapping[str, Estimate]:
+        """Estimates jointly with K and P, by parameter."""
+        return self.estimates.found
 
     @property
     def cup(self) -> cup_package.Cup:
@@ -120,17 +109,7 @@ class Identification(CommandResult):
             'cup.length': self.cup_length,
             **{name: checks.validate(name, value) for name, (value, *_) in self.found.items()},
             **{TERMS[name].parameter: TERMS[name].to_parameter(term)
-               for name, term in self._terms.items()}})
-
-    @cached_property
-    def _terms(self) -> dict[str, Any]:
-        """Fitted terms, with numbers of the given cup for unidentifiable ones of K and P."""
-        structure, given = structure_named(self.fit.structure), conversion.one_cup_of(self.values)
-        K, P = structure.matrices(np.where(
-            np.isfinite(np.diag(self.fit.covariance)), self.fit.parameters,
-            structure.parameters(given.stiffness, given.damping)))
-        usable = not self.fit.usable or min(np.linalg.eigvalsh(M)[0] for M in (K, P)) > 0.0
-        return {**self.fit.terms, 'stiffness': K, 'damping': P} if usable else self.fit.terms
+               for name, term in terms_of(self.fit, self.values).items()}})
 
     def parameters(self, with_cell: bool = False) -> dict[str, Any]:
         """
@@ -145,13 +124,14 @@ class Identification(CommandResult):
             free = {name: rows[0] for name, rows in self.fit.nuisances.items()}
             own = ~np.array(self.recordings[0].settings.moves_with_com)
             values['cup.length'] += float(
-                free.get('package_marker', np.zeros(3))[2] - (own * self._com_change)[2])
+                free.get('package_marker', np.zeros(3))[2] - (own * com_change(self.fit))[2])
         errors: dict[str, Any] = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
         estimated = self.static and self.static.length
-        _, std, _ = self.found.get('cup.length', (
-            0.0, estimated.total_std if estimated else math.inf, ''))
+        std = estimated.total_std if estimated else math.inf
+        if 'cup.length' in self.found:
+            std = self.found['cup.length'].std
         if np.isfinite(std):
             errors['cup.length_std'] = min(float(np.squeeze(std)), 1.0)
         return {**values, **errors, **self.envelope.parameters()}
@@ -188,86 +168,6 @@ class Identification(CommandResult):
             'package/camera_info': first.report.package.recorded.calibration if first else ''}
         return {name: topic for name, topic in inputs.items() if topic}
 
-    @cached_property
-    def found(self) -> Mapping[str, tuple[Any, Any, str]]:
-        """
-        Estimates jointly with K and P by parameter: value, standard errors and unit.
-
-        Clock, marker and world are from the recording with the most certain world.
-        """
-        result = dict[str, tuple[Any, Any, str]]()
-        if not self.fit.converged:
-            return result
-        number = min(range(len(self.recordings or self.parts)), key=lambda n: float(np.sum(
-            world.std if (world := self.parts[n].package_world) else 0.0)))
-        free = {name: rows[0] for name, rows in self.fit.nuisances.items()}
-        payload = self.recordings[0].payload if self.recordings else (
-            conversion.package_of(self.values))
-        estimates = estimates_of(
-            payload, free, self.cup_length + float(np.sum(free.get('length', 0.0))))
-        of_package = {name: rows[0] for name, rows in self.fit.nuisances_std.items()}
-        for name, (parameter, unit) in FREE_PARAMETERS.items():
-            if name not in of_package:
-                continue
-            value, error = np.squeeze(estimates[name]), of_package[name]
-            if name in ('mass', 'inertia'):
-                error = error * estimates[name][:len(error)]
-            result[parameter] = value.tolist(), np.resize(
-                np.pad(error, (0, value.size - len(error))), value.shape), unit
-        if self.recordings:
-            result |= self._frames(number)
-        return result
-
-    @property
-    def _com_change(self) -> Array:
-        """Change (3,) of the given centre of mass by the fit, m."""
-        return np.asarray(self.fit.nuisances.get('com', np.zeros((1, 3)))[0])
-
-    def _frames(self, number: int) -> Iterator[tuple[str, tuple[Any, Array, str]]]:
-        """Yield the estimates of world, marker and clock from a recording."""
-        recording = self.recordings[number]
-        free, std = ({
-            name: rows[number if KINDS[name].each else 0] for name, rows in each.items()}
-            for each in (self.fit.nuisances, self.fit.nuisances_std))
-        scale = 1.0 + float(free.get('scale', np.zeros(1))[0])
-        if 'scale' in std:
-            yield 'measured.scale', (
-                recording.report.scale * scale, std['scale'][0], '1')
-        if world := recording.report.package_world:
-            settings = recording.settings
-            pose = alignment.shifted_pose(
-                world.pose, settings.R_world_recorded, middle_of(recording.tracked_package)[:3],
-                free.get('package_world', np.zeros(6)))
-            pose[:3] *= 1.0 if settings.tag else scale
-            yield 'recording.package_world', (checks.pose_text(pose), world.std, 'm, rad')
-        if 'package_marker' in free or world and recording.settings.align_at_rest:
-            shift = np.array(recording.settings.moves_with_com) * self._com_change
-            turn = free.get('package_marker', np.zeros(6))
-            frames = recording.alignment
-            R = frames.R_package_markers_lip
-            T = lie.inverse_transform(
-                lie.transform(R, R @ (frames.origin_to_com + shift))
-                @ lie.transform(lie.exp_so3(turn[3:]), turn[:3]))
-            yield 'measured.offset', (
-                np.append(T[:3, 3], lie.log_so3(T[:3, :3])).tolist(),
-                std.get('package_marker', np.zeros(6)), 'm, rad')
-        noise = self.fit.noise_in_motion.get(number)
-        if (tag := recording.settings.tag) and noise is not None:
-            change = 1.0 + float(free.get('exposure', np.zeros(1))[0])
-            usual = USUAL_EXPOSURE / recording.report.package.timing.rate_hz
-            exposure = (tag.exposure or usual) * abs(change)
-            yield 'measured.noise', (
-                [noise[0], noise[1] / max(change**2, 0.01)], np.zeros(2), 'rad, 1/rad')
-            yield 'measured.exposure', (exposure, (
-                tag.exposure or usual) * std.get('exposure', np.ones(1))[0], 's')
-        delay, delay_std = (float(each.get('time_offset', (0.0,))[0]) for each in (free, std))
-        if self.delays:
-            delay, delay_std = self.delays[number]
-        if delay and abs(delay) < 0.5 and math.isfinite(delay_std):  # s
-            yield 'measured.latency', (
-                [is_measured(self.values) * self.values.measured.latency[0] - delay, min(
-                    delay_std, 0.5)], np.zeros(2), 's')
-
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the cup in addition to K and P, without warnings."""
@@ -276,37 +176,20 @@ class Identification(CommandResult):
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings on clocks, estimates, standstills, and changed given quantities."""
-        found = [*self.asked.items()]
+        found = [(name, self.found[name]) for name in self.estimates.asked]
         if self.static and (length := self.static.length):
-            found.append(('cup.length', (length.length, length.total_std, 'm by loads alone')))
-        return (*offset_findings(zip(self.bags, self.delays, strict=False)),
+            found.append(('cup.length', Estimate(
+                length.length, length.total_std, 'm by loads alone')))
+        return (*offset_findings(zip(self.bags, self.estimates.delays, strict=False)),
                 *(estimate_finding(name, *each) for name, each in found),
                 *self.verdict.corrections)
-
-    @property
-    def asked(self) -> Mapping[str, tuple[Any, Any, str]]:
-        """Those estimates that fit.free or recording.package_world request."""
-        named = {*self.fit.named} & CHANGED.keys() - {'time_offset'}  # see `offset_findings`
-        names = {'recording.package_world', 'measured.scale',
-                 *(CHANGED[name][0] for name in named)}
-        return {name: each for name, each in self.found.items() if name in names}
 
     @property
     def outside_cup_file(self) -> list[str]:
         """Changed and requested quantities that only the cell file contains."""
         changed = [change.parameter for change in self.verdict.changes]
-        return [name for name in dict.fromkeys([*self.asked, *changed])
+        return [name for name in dict.fromkeys([*self.estimates.asked, *changed])
                 if name in self.found and name != 'cup.length']
-
-    @cached_property
-    def delays(self) -> tuple[TimeOffset, ...]:
-        """Delays of each recording's tool stamps behind the package's, if requested, in total."""
-        before = [part.time_offset or TimeOffset(0.0, math.inf) for part in self.parts]
-        if 'time_offset' not in {*self.values.fit.free} & self.fit.nuisances.keys():
-            return tuple(before) if 'time_offset' in self.values.fit.free else ()
-        return tuple(TimeOffset(offset.value + value, std) for offset, value, std in zip(before, *(
-            each['time_offset'][:, 0].tolist() for each in (
-                self.fit.nuisances, self.fit.nuisances_std)), strict=True))
 
     def _fit_warnings(self) -> tuple[str, ...]:
         """Return the warnings of the fit and its equations, unless detected faults cause them."""
@@ -337,8 +220,8 @@ class Identification(CommandResult):
             *self.parts, *(self.static.recordings if self.static else ())]
         return results.plain_items({
             **fit_json(self.fit),
-            'time_offsets': [offset.value for offset in self.delays],
-            'time_offsets_std': [offset.std for offset in self.delays],
+            'time_offsets': [offset.value for offset in self.estimates.delays],
+            'time_offsets_std': [offset.std for offset in self.estimates.delays],
             'warnings': self.warnings,
             'findings': [*map(entry, self.findings)],
             'cup_length': self.cup_length,

@@ -18,6 +18,7 @@ from typing import Any
 
 from bellows_ros.core import configure_process, usable_cores
 from bellows_ros.core.identification import fitting
+from bellows_ros.core.identification.estimates import envelope_of, estimates_of
 from bellows_ros.core.identification.segments import (
     AnyRecording,
     Held,
@@ -30,6 +31,7 @@ from bellows_ros.core.identification.verdict import MAX_TESTED, verdict_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
+from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, install, require_pictures
 from bellows_ros.workflows import identification
@@ -104,8 +106,7 @@ def identify(
         if not force:
             _require_no_faults(parts, effective, FORCE)
         return _identify(
-            values, effective, parts, static, progress, pairs,
-            failed=tuple(failed), assumed=_assumed(settings))
+            values, effective, parts, static, progress, pairs, _assumed(settings), failed)
 
 
 def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['Cluster | None']:
@@ -266,7 +267,7 @@ def _read_elsewhere(
 def _identify(
     values: Values, effective: Values, parts: Sequence[AnyRecording],
     static: StaticResult | None, progress: Progress, pairs: Held,
-    assumed: tuple[str, ...], **more: Any,
+    assumed: tuple[str, ...], failed: Sequence[Failed],
 ) -> identification.Identification:
     """
     Fit the recordings; return the result.
@@ -288,13 +289,15 @@ def _identify(
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
     verdict = verdict_of(fit, recordings, effective.cup.length, effective)
-    identified = identification.Identification(
-        fit, values,
-        tuple(reduced(part, effective.cup.length) for part in parts),
-        tuple(recordings), verdict=verdict, assumed=assumed, **more)
+    reduced_parts = tuple(reduced(part, effective.cup.length) for part in parts)
+    length = reduced_parts[0].cup_length
+    envelope = envelope_of(verdict.simulations, reduced_parts, values.vacuum.holding)
     if static:
-        identified = replace(
-            identified, static=static._replace(cup_length=identified.cup_length))
+        envelope = with_standstills(envelope, static.standstills, length)
+        static = static._replace(cup_length=length)
+    identified = identification.Identification(
+        fit, values, reduced_parts, estimates_of(fit, reduced_parts, recordings, values),
+        envelope, tuple(recordings), static, verdict, tuple(failed), assumed)
     progress('done', 1.0)
     return identified
 

@@ -246,13 +246,6 @@ def _prepared(
     return _with_remarks(recording, (*recording.report.remarks, *found))
 
 
-def is_measured(values: Values) -> bool:
-    """Return whether measured.* describes the recorded package: a tag, its own world, a marker."""
-    return values.measured.tag_size > 0.0 or (
-        values.recording.package_world not in ('', checks.ESTIMATE)) or (
-        any(values.measured.offset) and values.get('recording.package_frame') == 'com')
-
-
 def in_camera(package: PoseStream, world: str, values: Values) -> PoseStream:
     """
     Return the poses of a tag in the frame of its camera, also of poses in the world of the tool.
@@ -281,7 +274,7 @@ def in_camera(package: PoseStream, world: str, values: Values) -> PoseStream:
 
 def as_measured(package: PoseStream, values: Values) -> PoseStream:
     """Return recorded poses of the package corrected by the stated latency and scale."""
-    if not is_measured(values):
+    if not checks.is_measured(values):
         return package
     return replace(trajectory.earlier(package, values.measured.latency[0]),
                    position=values.measured.scale * package.position)
@@ -290,7 +283,7 @@ def as_measured(package: PoseStream, values: Values) -> PoseStream:
 def marker_alignment(values: Values) -> frames.Alignment | None:
     """Return the alignment by measured.offset, None without an offset."""
     offset = np.array(values.measured.offset)
-    if not (is_measured(values) and offset.any()):
+    if not (checks.is_measured(values) and offset.any()):
         return None
     T = lie.inverse_transform(lie.transform(lie.exp_so3(offset[3:]), offset[:3]))
     return frames.Alignment(np.eye(3), T[:3, :3], T[:3, :3].T @ T[:3, 3], np.zeros(3))

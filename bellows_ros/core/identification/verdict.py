@@ -13,14 +13,14 @@ from bellows_ros.core.identification import fitting
 from bellows_ros.core.identification.estimate import MAX_NOISE_CHI2
 from bellows_ros.core.identification.fitting import HELD_OUT
 from bellows_ros.core.identification.result import Cause, Fit, MAJORITY
-from bellows_ros.core.identification.unknowns import as_found, given_std, payload_of
+from bellows_ros.core.identification.unknowns import as_found, given_std
 from bellows_ros.core.identification.validation import (
     corner_scores,
     MAX_NRMSE,
     validate,
     Validation,
 )
-from bellows_ros.core.model.cup_package import Cup, gripper_of, Package
+from bellows_ros.core.model.cup_package import Cup, gripper_of
 from bellows_ros.core.model.structure import Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of
 from bellows_ros.core.parameters.values import Values
@@ -50,11 +50,6 @@ usual standard deviation of an inertia by CAD."""
 
 SIGMAS = 3.0
 """Number of stated standard deviations beyond which an estimate is a finding of its own."""
-
-FREE_PARAMETERS = {
-    'com': ('package.com', 'm'), 'length': ('cup.length', 'm'),
-    'mass': ('package.mass', 'kg'), 'inertia': ('package.inertia', 'kg m^2')}
-"""Parameter and unit of each estimated quantity of cup and package."""
 
 
 def _percents(change: Array) -> str:
@@ -326,15 +321,6 @@ def _changes(fit: Fit, values: Values) -> tuple[Change, ...]:
             pull = float(np.max(np.abs(row) / given[name]))
             found.append(Change(parameter, off(row), pull, std))
     return tuple(sorted(found, key=attrgetter('pull'), reverse=True))
-
-
-def estimates_of(
-    payload: Package, free: Mapping[str, Array], length: float
-) -> Mapping[str, Array]:
-    """Return the `FREE_PARAMETERS` with the changes of a fit; the length (m) is of the fit."""
-    found = payload_of(payload, free)
-    return {'com': found.com, 'mass': np.array([found.mass]), 'length': np.array([length]),
-            'inertia': found.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
 
 
 def _cup_of(theta: Array, cup: Cup, structure: Structure) -> Cup | None:

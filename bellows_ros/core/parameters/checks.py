@@ -266,6 +266,13 @@ MAX_NUMBER = 1e15
 """Bound of all numbers against overflows of squares and products."""
 
 
+def is_measured(values: Values) -> bool:
+    """Return whether measured.* describes the recorded package: a tag, its own world, a marker."""
+    return values.measured.tag_size > 0.0 or (
+        values.recording.package_world not in ('', ESTIMATE)) or (
+        any(values.measured.offset) and values.get('recording.package_frame') == 'com')
+
+
 class Settings:
     """
     One block of settings.
