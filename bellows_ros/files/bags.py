@@ -92,7 +92,10 @@ def _require_closed(bag: Path) -> None:
     if bag.suffix == '.bag' and not bag.is_dir():
         raise BellowsError(f"'{bag}' is a bag of ROS 1. Convert it: 'rosbags-convert --src {bag} "
                            "--dst FOLDER', of the Python package rosbags.")
-    for file in bag.glob('*.db3') if bag.is_dir() else [bag] * (bag.suffix == '.db3'):
+    databases = list(bag.glob('*.db3'))
+    if bag.suffix == '.db3' and not bag.is_dir():
+        databases = [bag]
+    for file in databases:
         journals = [file.with_name(file.name + end) for end in ('-wal', '-journal')]
         with file.open('rb') as stream:
             head, size = stream.read(32), stream.seek(0, 2)

@@ -186,10 +186,10 @@ def print_cup(fit: Fit, out: Any) -> None:
         rows: list[tuple[str, ...]] = [('axis', title, 'incl. given quantities')]
         for axes in structure.tied_axes:
             value, error, both = (M[axes[0], axes[0]] for M in of_name)
-            rows.append((
-                ', '.join(AXES[axis] for axis in axes),
-                with_error(value, error, UNITS[name][2 * (axes[0] > 2)]),
-                f'± {float(f"{100.0 * both / abs(value):.2g}"):g} %' * math.isfinite(both)))
+            translation, _, rotation = UNITS[name]
+            unit = rotation if axes[0] > 2 else translation
+            rows.append((', '.join(AXES[axis] for axis in axes), with_error(value, error, unit),
+                         _percent(both / abs(value))))
         out.table([row[:columns] for row in rows])
     if columns > 2:
         out.paragraph(TWO_ERRORS)
@@ -201,6 +201,11 @@ def print_cup(fit: Fit, out: Any) -> None:
                      for value, error in zip(values, errors, strict=True)))
             for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True))],
             right=True, title='{} in {}, {} and {}:'.format(name, *UNITS[name]))
+
+
+def _percent(part: float) -> str:
+    """Return a relative standard error in percent to two digits, '' for an infinite one."""
+    return f'± {float(f"{100.0 * part:.2g}"):g} %' if math.isfinite(part) else ''
 
 
 def law_sentence(term: Term, numbers: Sequence[float], std: Sequence[float]) -> str:

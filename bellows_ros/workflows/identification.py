@@ -161,11 +161,13 @@ class Identification(CommandResult):
     @property
     def remappings(self) -> dict[str, str]:
         """Recorded topics by input of the node."""
-        topics, (first, *_) = self.values.topics, (*self.recordings, None)
-        inputs = {
-            'tool_arm/pose': topics.tool_pose,
-            'package/measured': topics.package_pose * (self.values.measured.type != 'tf'),
-            'package/camera_info': first.report.package.recorded.calibration if first else ''}
+        topics = self.values.topics
+        inputs = {'tool_arm/pose': topics.tool_pose}
+        if self.values.measured.type != 'tf':
+            inputs['package/measured'] = topics.package_pose
+        if self.recordings:
+            camera = self.recordings[0].report.package.recorded
+            inputs['package/camera_info'] = camera.calibration
         return {name: topic for name, topic in inputs.items() if topic}
 
     @property

@@ -203,9 +203,10 @@ def require_none(remarks: Iterable[Finding], use: str, more: str = '') -> None:
     if any(prevents(remark, use) for remark in wrong):
         error = BellowsError if any(prevents(each, 'replay') for each in wrong) else (
             UnexplainedError)
-        raise error(' '.join([
-            *map(text, wrong),
-            'More may be wrong: correct this, and run it again.', *[more] * bool(more)]))
+        sentences = [*map(text, wrong), 'More may be wrong: correct this, and run it again.']
+        if more:
+            sentences.append(more)
+        raise error(' '.join(sentences))
 
 
 def _prepared(
@@ -301,7 +302,7 @@ def estimate_finding(topic: str, value: Any, std: Any, unit: str = '1') -> Findi
     return Finding('estimated', Level.OK, {
         'values': ', '.join(f'{float(x):.5g}' for x in numbers),
         'errors': ', '.join(f'{x:.2g}' if x < np.inf else '-' for x in np.ravel(std)),
-        'unit': f' {unit}' * (unit != '1')}, topic)
+        'unit': '' if unit == '1' else f' {unit}'}, topic)
 
 
 def offset_findings(offsets: Iterable[tuple[str, TimeOffset | None]]) -> list[Finding]:

@@ -56,6 +56,10 @@ SLIP_INSTANTS = 8
 MIN_SLIP_PERIOD = 0.03
 """Resolution of the instant of a slip, s: the package moves on for some poses of a camera."""
 
+MIN_SLIP_GAIN = 1.1
+"""Smallest gain of a slip relative to that of a com offset, from which a slip near an end of a
+recording cannot be distinguished."""
+
 BAND = 0.8
 """Share of the residual's power in the reported frequency band."""
 
@@ -90,13 +94,14 @@ def causes_of(found: Solution, given: Free) -> tuple[Cause, ...]:
     names = sorted(falls, key=lambda name: falls[name], reverse=True)[:2]
     if not found.is_plausible:  # scores about an implausible cup are unreliable
         names = [*dict.fromkeys([*names, 'length', 'package_world'])]
-    tried = [freed(found, name) for name in names]
-    gains = {one.name: one.gain for one in tried}
-    tried = sorted((one for one in tried if one.gain > limit_of(one.found, one.name) and not (
-        one.name == 'slip' and one.gain < 1.1 * gains.get('com', 0.0))),
-        key=attrgetter('gain'), reverse=True)
-    if found.fits:  # what contradicts no given value, and hardly moves K, is harmless
+    solutions = [freed(found, name) for name in names]
+    gains = {one.name: one.gain for one in solutions}
+    tried = [one for one in solutions if one.gain > limit_of(one.found, one.name)]
+    if gains.get('slip', 0.0) < MIN_SLIP_GAIN * gains.get('com', 0.0):
+        tried = [one for one in tried if one.name != 'slip']
+    if found.fits:  # a cause that contradicts no given value, and hardly moves K, is harmless
         tried = [one for one in tried if one.name in given or _moved(found, one) > MATERIAL]
+    tried.sort(key=attrgetter('gain'), reverse=True)
     rivals = falls | gains
     beyond = found.total.squares - found.total.number + float(
         found.problem.weights @ found.theta**2)
@@ -111,14 +116,17 @@ def causes_of(found: Solution, given: Free) -> tuple[Cause, ...]:
 def significant(found: Solution, given: Free) -> dict[str, float]:
     """Return the falls of chi² beyond chance by the candidates that are given or not free."""
     problem, places = found.problem, found.problem.places
-    stated = {name for name in given.keys() & places.keys()
-              if np.array_equal(given[name], problem.free[name])}
-    known = {*(places.keys() - stated), *(UNLIKELY if found.fits else ()),
-             'mass' if 'inertia' in places else 'inertia',
-             *(('exposure',) if 'exposure' in places or not problem.is_slow else ())}
-    if known & set(MARKERS) & places.keys():
-        known.update(MARKERS)
-    falls = scores(found, [name for name in CANDIDATES if name not in known])
+    has_stated_error = {name for name in given.keys() & places.keys()
+                        if np.array_equal(given[name], problem.free[name])}
+    excluded = places.keys() - has_stated_error
+    if found.fits:
+        excluded.update(UNLIKELY)
+    if excluded & places.keys() & set(MARKERS):
+        excluded.update(MARKERS)
+    excluded.add('mass' if 'inertia' in places else 'inertia')
+    if 'exposure' in places or not problem.is_slow:
+        excluded.add('exposure')
+    falls = scores(found, [name for name in CANDIDATES if name not in excluded])
     return {name: fall for name, fall in falls.items() if fall > limit_of(found, name)}
 
 
@@ -129,19 +137,28 @@ def limit_of(found: Solution, name: str) -> float:
 
 
 def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
-    """Return the fall of chi² with each quantity free without a given value, to first order."""
+    """
+    Return the fall of chi² with each quantity free without a given value, to first order.
+
+    With H (m, m) and slope g (m,) of all unknowns, those of the names included, only some of the
+    unknowns are used at a time: those of the fit, and those of one quantity, whose prior is
+    replaced by a weak one.
+    """
     near = found.freed(weak_prior(set(names) - found.problem.places.keys()))
-    wide, H, g = near.problem, near.information, near.slope
-    own = {name: np.isin(np.arange(len(g)), wide.places[name]) for name in names}
-    base = ~np.any([own[name] for name in names if name not in found.problem.places] or [
-        np.zeros(len(g), dtype=bool)], axis=0)
-    before, falls = H.fall(g, base), dict[str, float]()
+    extended, H, g = near.problem, near.information, near.slope
+    unknowns = np.arange(len(g))
+    is_own = {name: np.isin(unknowns, extended.places[name]) for name in names}
+    is_of_fit = np.full(len(g), True)
+    for name in set(names) - found.problem.places.keys():
+        is_of_fit &= ~is_own[name]
+    before, falls = H.fall(g, is_of_fit), dict[str, float]()
     for name in names:
         weak = weak_prior([name])[name] / KINDS[name].unit
-        less = np.where(own[name], wide.weights, 0.0)
-        less[wide.places[name]] -= weak**-2.0
-        falls[name] = float(less @ near.theta**2) - before + H.raised(-less).fall(
-            g + less * near.theta, base | own[name])
+        removed = np.where(is_own[name], extended.weights, 0.0)  # weights (m,) of the prior
+        removed[extended.places[name]] -= weak**-2.0
+        with_weak_prior = H.raised(-removed).fall(
+            g + removed * near.theta, is_of_fit | is_own[name])
+        falls[name] = float(removed @ near.theta**2) - before + with_weak_prior
     return falls
 
 
@@ -157,13 +174,13 @@ def freed(before: Solution, name: str) -> Alternative:
 def _is_certain(best: Alternative, rivals: Mapping[str, float], given: Free) -> bool:
     """Return whether a cause leaves noise alone, and no other explains half as much."""
     after, alike = best.found, (best.name, ALIKE.get(best.name, ''))
-    return bool(
-        after.fits and after.robust_chi2 < MAX_NOISE_CHI2
-        and after.chi2 < MISFIT_CHI2
-        and max((gain for name, gain in rivals.items() if name not in alike), default=0.0)
-        < MAJORITY * best.gain
-        and not significant(after, {name: std for name, std in given.items() if (
-            name not in alike)}).keys() & given.keys())
+    is_noise = after.fits and after.robust_chi2 < MAX_NOISE_CHI2 and after.chi2 < MISFIT_CHI2
+    gains = [gain for name, gain in rivals.items() if name not in alike]
+    is_alone = max(gains, default=0.0) < MAJORITY * best.gain
+    if not (is_noise and is_alone):
+        return False
+    others = {name: std for name, std in given.items() if name not in alike}
+    return not significant(after, others).keys() & given.keys()
 
 
 def _moved(end: Solution, one: Alternative) -> float:
@@ -180,17 +197,19 @@ def _cause(
     theta, std = one.found.estimate(name)
     moved = _moved(end, one)
     alike = ALIKE.get(name, '')
-    is_open = name in ('com', 'length') and np.argmax(np.abs(theta)) == len(theta) - 1 and (
+    is_along_z = name in ('com', 'length') and np.argmax(np.abs(theta)) == len(theta) - 1
+    is_open = is_along_z and (
         alike in problem.places
         or rivals.get(alike, 0.0) > one.gain - limit_of(one.found, 'com'))
     if name == 'slip':
-        worst = int(np.argmax(np.abs(theta) / std)) // 2 * 2  # of the affected recording
-        since = (problem.slip_ns - problem.outlines[worst // 2].begin_ns) / NS_PER_S
-        theta = np.append(theta[worst:worst + 2], since)
-        std = np.append(std[worst:worst + 2], MIN_SLIP_PERIOD)
+        shifts, errors = theta.reshape(-1, 2), std.reshape(-1, 2)  # of each recording
+        worst = int(np.argmax(np.max(np.abs(shifts) / errors, axis=1)))
+        since = (problem.slip_ns - problem.outlines[worst].begin_ns) / NS_PER_S
+        theta, std = np.append(shifts[worst], since), np.append(errors[worst], MIN_SLIP_PERIOD)
+    if name == 'mass':  # reported as an inertia: K and P scaled with the mass move alike
+        theta = -theta
     return Cause(
-        REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '',
-        -theta if name == 'mass' else theta, std,  # K and P scaled with the mass move alike
+        REPORTED.get(name, name), 'tool' if name == 'tool_marker' else '', theta, std,
         share=one.gain / max(beyond, *rivals.values(), 1e-9), moved=moved, certain=False,
         instead=alike if name == 'gravity' or is_open else '',
         datum=name not in OF_CUP and (name != 'clock_rate' or moved > MATERIAL))

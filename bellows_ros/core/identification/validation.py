@@ -217,7 +217,7 @@ class Validation(residuals.Comparison):
     def failing(self, limit: float = MAX_NRMSE) -> tuple[str, ...]:
         """Return the names of the moving axes with NRMSE above a limit; of a tag, 'corners'."""
         if self.corners:
-            return ('corners',) * (not self.corners.nrmse <= limit)
+            return () if self.corners.nrmse <= limit else ('corners',)
         above = self.moves & ~(self.scores.nrmse <= limit)
         return tuple(AXES[i] for i in np.flatnonzero(above))
 

@@ -430,10 +430,11 @@ def _corrected(cause: Cause, given: Given) -> str:
         moments = np.array(given[topic][:3]) * np.exp(cause.theta)
         return f'{", ".join(f"{x:.3g}" for x in moments)} kg m^2'
     if topic == 'gravity.direction':
-        doubt = '; or a hose or cable pulls at the package' * (cause.instead == 'force')
         down = lie.exp_so3(np.append(-cause.theta, 0.0)) @ alignment.DOWN
-        return _listed(
-            alignment.levelling(given.get(topic, alignment.DOWN)).T @ down) + doubt
+        direction = _listed(alignment.levelling(given.get(topic, alignment.DOWN)).T @ down)
+        if cause.instead == 'force':
+            return f'{direction}; or a hose or cable pulls at the package'
+        return direction
     sure = np.where(np.abs(cause.theta) > SIGMAS * cause.std, cause.theta, 0.0)
     value = np.add(given[topic], sure if topic == 'package.com' else cause.theta[0])
     return _listed(value) if topic == 'package.com' else f'{value:.5f}'

@@ -238,9 +238,11 @@ class Rest(NamedTuple):
     @property
     def remarks(self) -> tuple[Finding, ...]:
         """Finding on the relative rotation of the marker frames, if it is large."""
+        if not self.is_turned:
+            return ()
         tool, package = self.tilts
         return (Finding('turned', Level.WARN, {
-            'tool': tool, 'package': package, 'turned': self.turned}),) * self.is_turned
+            'tool': tool, 'package': package, 'turned': self.turned}),)
 
 
 def rest_of(tool: Trajectory, package: Trajectory) -> Rest:
@@ -362,9 +364,9 @@ def rough_offsets(tool: Trajectory, package: Trajectory) -> list[float]:
     largest = float(np.max(correlation, initial=0.0))
     if largest >= MIN_CORRELATION:
         is_peak = correlation >= np.maximum(np.roll(correlation, 1), np.roll(correlation, -1))
-        highest = np.argsort(-correlation * is_peak)[:3]
-        return sorted(lags[highest[correlation[highest] >= 0.9 * largest]].tolist(),
-                      key=abs)
+        highest = np.argsort(-np.where(is_peak, correlation, 0.0))[:3]
+        is_similar = correlation[highest] >= 0.9 * largest
+        return sorted(lags[highest[is_similar]].tolist(), key=abs)
     first, last = common_span(tool, package)
     if not len(lags) and first < last:
         return [0.0]

@@ -11,7 +11,7 @@ from functools import cached_property
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.geometry.arrays import Array
+from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
@@ -226,27 +226,36 @@ def swapped_bodies(poses: RecordedPoses) -> Iterator[Finding]:
     """Yield the times in which two bodies, one below the other, are exchanged, or are one."""
     if not (poses.one_frame and poses.bodies):
         return
-    hand, eye = poses.tool.trajectory(), poses.package.trajectory()
-    first, last = common_span(hand, eye)
-    eye = eye.select((eye.stamps_ns >= first) & (eye.stamps_ns <= last))
-    hand = resample(hand, eye.stamps_ns)
-    offset = eye.position - hand.position
+    tool, package = poses.tool.trajectory(), poses.package.trajectory()
+    first, last = common_span(tool, package)
+    package = package.select((package.stamps_ns >= first) & (package.stamps_ns <= last))
+    tool = resample(tool, package.stamps_ns)
+    offset = package.position - tool.position
     distance = np.linalg.norm(offset, axis=1)
     usual = float(np.median(distance))
-    above = np.einsum('ni,ni->n', offset, hand.rotation[:, :, 2]) / np.maximum(distance, 1e-9)
-    up, _ = tool_up(hand.rotation, poses.R_world_recorded)
+    # cosine of the package's direction from the tool's z axis, which points up or is turned up
+    above = np.einsum('ni,ni->n', offset, tool.rotation[:, :, 2]) / np.maximum(distance, 1e-9)
+    up, _ = tool_up(tool.rotation, poses.R_world_recorded)
     above *= np.sign(up if abs(up) > UPRIGHT else -np.median(above))
-    near = np.abs(distance - usual) < MAX_CHANGE * usual
-    one = distance < MAX_CHANGE * usual
-    if not 1e-3 < usual < MAX_REACH or np.mean(near | one) < MIN_NEAR_PART or (
-            np.mean(near & (above < -UPRIGHT)) < 1.0 - MIN_NEAR_PART):
+    is_near = np.abs(distance - usual) < MAX_CHANGE * usual
+    is_one = distance < MAX_CHANGE * usual
+    has_one_cup = 1e-3 < usual < MAX_REACH and np.mean(is_near | is_one) >= MIN_NEAR_PART
+    hangs = np.mean(is_near & (above < -UPRIGHT)) >= 1.0 - MIN_NEAR_PART
+    if not (has_one_cup and hangs):
         return
-    wrong = (above > UPRIGHT) & near | one
-    edges = np.flatnonzero(np.diff(wrong, prepend=False, append=False)).reshape(-1, 2)
+    is_swapped = is_near & (above > UPRIGHT) | is_one
     start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
-    spans = (eye.stamps_ns[np.stack([edges[:, 0], edges[:, 1] - 1], axis=1)] - start) / NS_PER_S
-    for begin, end in spans[np.ptp(spans, axis=1) >= SWAPPED_SECONDS][:MAX_SWAPS].tolist():
+    lasting = [(begin, end) for begin, end in _spans_of(is_swapped, package.stamps_ns - start)
+               if end - begin >= SWAPPED_SECONDS]
+    for begin, end in lasting[:MAX_SWAPS]:
         yield Finding('swapped', Level.ERROR, {'begin': begin, 'end': end}, 'both')
+
+
+def _spans_of(chosen: Mask, times_ns: Stamps) -> list[tuple[float, float]]:
+    """Return first and last time (s) of each run of chosen samples (N,)."""
+    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
+    begins, ends = times_ns[edges[0::2]] / NS_PER_S, times_ns[edges[1::2] - 1] / NS_PER_S
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
 def _frozen_part(stream: PoseStream) -> float:

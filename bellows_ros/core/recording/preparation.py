@@ -146,16 +146,16 @@ def _joined(recording: Recording) -> Recording:
 def _alignment(
     tool_poses: Trajectory, package_poses: Trajectory, settings: PrepareSettings
 ) -> Alignment:
-    """Return the alignment at the standstill after the begin of both streams, or None."""
-    given = settings.package_frame, settings.payload.com
+    """Return the alignment at the standstill after the begin of both streams, or of no markers."""
     if not settings.align_at_rest:
-        return Alignment(np.eye(3), np.eye(3), given[1] * (given[0] == 'lip'), np.zeros(3))
+        to_com = settings.payload.com if settings.package_frame == 'lip' else np.zeros(3)
+        return Alignment(np.eye(3), np.eye(3), to_com, np.zeros(3))
     start = max(int(poses.stamps_ns[0]) for poses in (tool_poses, package_poses))
     seconds = rest_of(tool_poses, package_poses).seconds
     tool, package = (
         standstill(poses, start, seconds, body)
         for poses, body in ((tool_poses, 'tool'), (package_poses, 'package')))
-    return aligned_at_rest(tool, package, *given)
+    return aligned_at_rest(tool, package, settings.package_frame, settings.payload.com)
 
 
 def _clean(
@@ -240,37 +240,45 @@ def _shifted_alike(stamps_ns: Stamps, before_ns: Stamps, after_ns: Stamps) -> St
 
 def _alignment_remarks(alignment: Alignment, settings: PrepareSettings) -> list[Finding]:
     """Return remarks on the lateral offsets of the lip and of the centre of mass."""
-    aside = float(np.linalg.norm(alignment.lateral_offset))
+    remarks, aside = list[Finding](), float(np.linalg.norm(alignment.lateral_offset))
+    if aside > MAX_LATERAL_OFFSET:
+        remarks.append(Finding('aside', Level.WARN, {'part': 'lip', 'aside': aside}))
     lateral_com = float(np.hypot(*settings.payload.com[:2]))
-    return [Finding('aside', Level.WARN, {'part': part, 'aside': size}) for part, size, is_due in (
-        ('lip', aside, aside > MAX_LATERAL_OFFSET),
-        ('centre of mass', lateral_com,
-         settings.align_at_rest and lateral_com > MAX_LATERAL_COM)) if is_due]
+    if settings.align_at_rest and lateral_com > MAX_LATERAL_COM:
+        remarks.append(Finding(
+            'aside', Level.WARN, {'part': 'centre of mass', 'aside': lateral_com}))
+    return remarks
 
 
 def remarks_on(report: StreamReport) -> list[Finding]:
     """Return remarks on the poses of one topic, before or after a fit."""
-    recorded, time, replaced_s = report.recorded, report.timing, report.arrival_jitter
-    topic = recorded.name
-    lasting = lasting_steps(report)
-    remarks = [Finding('slip', Level.WARN, {
-        'position': max(step.position for step in lasting),
-        'rotation': max(step.rotation for step in lasting),
-        'at': float(recorded.stamps_ns[lasting[0].before] - recorded.stamps_ns[0]) / NS_PER_S},
-        topic)] if lasting else []
-    jitter = {'jitter': replaced_s or time.jitter_s, 'rate': time.rate_hz,
-              'instead': '; uniform times are used instead' * bool(replaced_s)}
-    if replaced_s:
-        remarks.append(Finding('jitter', Level.WARN, jitter, topic))
+    recorded, time = report.recorded, report.timing
+    topic, rate_hz = recorded.name, time.rate_hz
+    remarks = list[Finding]()
+    if lasting := lasting_steps(report):
+        after_ns = recorded.stamps_ns[lasting[0].before] - recorded.stamps_ns[0]
+        remarks.append(Finding('slip', Level.WARN, {
+            'position': max(step.position for step in lasting),
+            'rotation': max(step.rotation for step in lasting),
+            'at': float(after_ns) / NS_PER_S}, topic))
+
+    def jitter(seconds: float, instead: str = '', level: Level = Level.WARN) -> Finding:
+        numbers = {'jitter': seconds, 'rate': rate_hz, 'instead': instead}
+        return Finding('jitter', level, numbers, topic)
+
+    if report.arrival_jitter:
+        remarks.append(jitter(report.arrival_jitter, '; uniform times are used instead'))
     elif _in_bursts(report):
-        return [Finding('jitter', Level.ERROR, jitter, topic), *remarks]
-    return remarks + [Finding(code, Level.WARN, numbers, topic) for is_due, code, numbers in (
-        (time.rate_hz < LOW_RATE_HZ, 'low_rate', {'rate': time.rate_hz, 'least': LOW_RATE_HZ}),
-        (report.repeated_stamps > MAX_REPEATED * len(recorded), 'jitter', {
-            'jitter': 1.0 / time.rate_hz, 'rate': time.rate_hz,
-            'instead': f'; {report.repeated_stamps} poses repeat a stamp and are left out'}),
-        (time.jitter_s * time.rate_hz > resampling.MAX_RELATIVE_JITTER, 'jitter', jitter))
-        if is_due]
+        return [jitter(time.jitter_s, level=Level.ERROR), *remarks]
+    if rate_hz < LOW_RATE_HZ:
+        remarks.append(Finding(
+            'low_rate', Level.WARN, {'rate': rate_hz, 'least': LOW_RATE_HZ}, topic))
+    if report.repeated_stamps > MAX_REPEATED * len(recorded):
+        remarks.append(jitter(
+            1.0 / rate_hz, f'; {report.repeated_stamps} poses repeat a stamp and are left out'))
+    if time.jitter_s * rate_hz > resampling.MAX_RELATIVE_JITTER:
+        remarks.append(jitter(time.jitter_s))
+    return remarks
 
 
 def _in_bursts(report: StreamReport) -> bool:

@@ -138,7 +138,7 @@ def _lag(tool: Trajectory, package: Trajectory) -> float:
     near_in_axes = np.max(in_axes[near], initial=0.0)
     is_late = near_in_axes <= alignment.MIN_CORRELATION or (
         _correlation_gap(near_in_axes, np.max(in_axes)) >= MIN_CORRELATION_GAP)
-    return (float(lags[best]) + SWING_DELAY) * is_late
+    return float(lags[best]) + SWING_DELAY if is_late else 0.0
 
 
 def _correlation_gap(small: float, large: float) -> float:

@@ -340,7 +340,7 @@ class StreamReport:
             'rate_hz': self.timing.rate_hz,
             'refused': {reason: list(where) for reason, where in self.recorded.refused.items()},
             'outliers': self.marked,
-            'arrival_stamps_replaced': len(self.recorded) * (self.arrival_jitter > 0.0),
+            'arrival_stamps_replaced': len(self.recorded) if self.arrival_jitter > 0.0 else 0,
             'gaps': [{'start_ns': gap.start_ns, 'duration_s': gap.duration_s}
                      for gap in self.timing.gaps],
             'interpolated_poses': self.interpolated,
