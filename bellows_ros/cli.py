@@ -192,11 +192,18 @@ def info(arguments: Any, console: 'Console') -> CommandOutcome:
     result = info(arguments.bag, read_settings(arguments))
     if arguments.write_params:
         write_text(arguments.write_params, cell_file(result))
+    show = partial(print_info, result, file=arguments.write_params)
+    if not arguments.write_params:
+        return CommandOutcome(show, result)
+    if missing := {'topics.tool_pose', 'topics.package_pose'} - result.settings.keys():
+        words = ['bellows', *click.get_current_context().obj, '--force', '--set', 'NAME=VALUE']
+        return CommandOutcome(show, result, (
+            f'The file lacks {" and ".join(sorted(missing))}. With what is to do, write it again:',
+            f'  {shlex.join(words)}'))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
-    return CommandOutcome(partial(print_info, result, file=arguments.write_params), result, (
+    return CommandOutcome(show, result, (
         'Fill in the package there, then:',
-        f'  bellows identify --params {arguments.write_params} --out cup.yaml{cell}',
-    ) if arguments.write_params else ())
+        f'  bellows identify --params {shlex.quote(arguments.write_params)} --out cup.yaml{cell}'))
 
 
 @command(

@@ -162,7 +162,9 @@ def test_a_parameter_of_its_advice_may_be_set(bellows, succeed, tmp_path):
     """Ask for the number of one of two tags, take it, and write it into the file."""
     path, file = tmp_path / 'b', tmp_path / 'cell.yaml'
     recorded(path, detections(views()[2] * 900.0 + 600.0, (3, 7)), calibration('plumb_bob', ()))
-    assert '/detections cannot be used' in bellows('info', path).stdout
+    wrong = bellows('info', path, '--write-params', tmp_path / 'half.yaml').stdout
+    assert '/detections cannot be used' in wrong and 'lacks topics.package_pose' in wrong
+    assert 'bellows identify' not in wrong and '--force --set NAME=VALUE' in wrong
     (tmp_path / 'size.yaml').write_text('measured.tag_size: 0.06')
     done = succeed('info', path, '--params', tmp_path / 'size.yaml', '--set',
                    'measured.child_frame=36h11:7', '--write-params', file)

@@ -237,7 +237,9 @@ class Validation(residuals.Comparison):
                 'rms': corners.rms, 'motion': corners.motion, 'ratio': corners.nrmse,
                 'pixels': (f'{corners.rms * corners.focal:.2g} pixels, '
                            if corners.focal > 0.0 else ''),
-                'chi2': corners.chi2, 'relation': 'above' if failing else 'within',
+                'chi2': corners.chi2, 'relation': (
+                    'above' if self.worse_than_noise else
+                    'by noise alone above' if failing else 'within'),
                 'limit': limit, 'position': float(self.scores.rms[:3].max()),
                 'rotation': float(self.scores.rms[3:].max())})
         if not (failing or self.moves.any()):

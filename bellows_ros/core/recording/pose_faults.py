@@ -349,7 +349,7 @@ def wrong_order(bodies: Bodies) -> str:
     for body, wrong in WRONG.items():
         moves, tilt = motion_in_tool(*(w_last(each) if is_wrong else each
                                        for each, is_wrong in zip(bodies, wrong, strict=True)))
-        is_righted = moves < moved and tilt < HANGING and TILTED < tilted
+        is_righted = moves < SIMPLER * moved and tilt < HANGING and TILTED < tilted
         if (is_righted or moves < MAX_MISFIT_RATIO * moved) and moves < SIMPLER * least:
             found, least = body, moves
     return found

@@ -24,6 +24,10 @@ TAG_ROTATION = 2e-3
 TAG_DEPTH = 2.5
 """Smallest ratio of depth noise to lateral noise of a detected tag: distance over side."""
 
+TAG_TILT = 2.0
+"""Smallest ratio of the noise about two axes of a detected tag, whose tilt is less certain than
+its rotation about the line of sight; the noise of a tracked body is similar about all axes."""
+
 TAG_RATE_HZ = 70.0
 """Largest rate of a tag detector, Hz: usual cameras have 30 or 60."""
 
@@ -77,7 +81,8 @@ def detected_tags(package: PoseStream) -> Iterator[Finding]:
     """Yield poses that seem to be of a detected tag, by their noise."""
     noise, rate_hz = noise_of(package.trajectory()), timing(package.stamps_ns).rate_hz
     lateral, rotation = (float(np.sqrt(np.mean(part**2))) for part in (noise[:2], noise[3:]))
-    if rate_hz < TAG_RATE_HZ and (rotation > TAG_ROTATION or noise[2] > TAG_DEPTH * lateral):
+    is_tilting = rotation > TAG_ROTATION and max(noise[3:]) > TAG_TILT * min(noise[3:])
+    if rate_hz < TAG_RATE_HZ and (is_tilting or noise[2] > TAG_DEPTH * lateral):
         yield Finding('sensor', Level.WARN, {'rate': rate_hz, 'rotation': rotation}, 'package')
 
 

@@ -126,8 +126,13 @@ def test_what_a_fit_found_comes_after_nothing_but_facts():
     assert found.cause[0].code == 'low_pass' and found.refusals and not found.causing
 
 
+TILTING = np.array([6e-3, 6e-3, 2e-3])
+"""Noise of the orientation of a tag, rad: its tilt is less certain than its turn."""
+
+
 @pytest.mark.parametrize(('size', 'noise', 'camera_hz', 'named'), [
-    (0.0, 6e-3, 30.0, ['sensor']), (0.0, 5e-4, 240.0, []), (0.05, 6e-3, 30.0, [])])
+    (0.0, TILTING, 30.0, ['sensor']), (0.0, 5e-4, 240.0, []), (0.05, TILTING, 30.0, []),
+    (0.0, 1e-2, 30.0, [])])  # white, as a body has by default
 def test_poses_of_another_kind_of_sensor_are_named(size, noise, camera_hz, named):
     laboratory = Laboratory(4, seconds=6.0, rate_hz=240.0)
     laboratory.noise, laboratory.camera_hz = ((3e-4, noise), laboratory.noise[1]), camera_hz

@@ -188,6 +188,19 @@ def test_poses_of_two_worlds_are_of_no_other_convention(seed):
     assert not {'quaternions', 'millimetres'} & {code for code, _ in faults(tool, turned)}
 
 
+@pytest.mark.parametrize('seed', range(3, 13))
+def test_a_flange_that_does_not_turn_has_no_quaternions_of_another_order(seed):
+    """Another order would turn z of the tool upwards, without any effect on the motion."""
+    tool, package = streams(seed)
+    rng = np.random.default_rng(seed)
+    turn = exp_so3(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]))
+    R = turn @ OUT @ exp_so3(1e-4 * rng.normal(size=tool.position.shape))
+    swing = 0.2 * lie.log_so3(package.rotation[0].T @ package.rotation)
+    held = turn @ exp_so3(swing)
+    hung = changed(package, tool.position + held @ [0.0, 0.0, -0.08], held)
+    assert faults(changed(tool, rotation=R), hung) == [('tool_z', 'tool')]
+
+
 @pytest.mark.parametrize('fixed', [True, False])
 @pytest.mark.parametrize('seed', range(3, 8))
 def test_a_package_fixed_to_a_tool_that_tilts_little_is_seen(fixed, seed):
