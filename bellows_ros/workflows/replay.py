@@ -14,10 +14,12 @@ from bellows_ros.core.identification.validation import (
     corner_scores,
     CornerScores,
     DRAW_SEED,
+    frame_cause,
     MAX_NRMSE,
     validate,
     Validation,
 )
+from bellows_ros.core.identification.verdict import cause_finding
 from bellows_ros.core.live import LivePredictor, warm_up
 from bellows_ros.core.live.cycle import Signal
 from bellows_ros.core.live.recorded import Messages, predicted_trajectory
@@ -275,6 +277,7 @@ def replay(
     rated = checked(rated)
     progress('simulating', 0.3)
     free = validated(values, rated)
+    cause = frame_cause(free.validation)
     sent = _tool_messages(recording, values)
     live = _predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
@@ -282,7 +285,8 @@ def replay(
         bag, recording, sent, live, values, observe, signals) if observe else (None, ())
     progress('done', 1.0)
     return replace(
-        free, live=live, observed=camera, findings=(*free.findings, *more))
+        free, live=live, observed=camera, findings=(
+            *free.findings, *([cause_finding(cause, values)] if cause else []), *more))
 
 
 def validated(values: Values, recording: Recording) -> Replay:

@@ -148,6 +148,12 @@ def test_a_changed_quantity_is_said_and_the_printed_commands_are_right_with_it(
     said, = (each for each in found['findings'] if each['code'] == 'off_given')
     assert said['topic'] == name and said['text'] in ' '.join(done.stdout.split())
     assert float(said['numbers']['off'].split()[0]) == pytest.approx(size, rel=0.1)
+    plain = bellows('replay', recording, '--params', 'wrong.yaml', '--params', 'a cup.yaml',
+                    cwd=tmp_path)
+    if name == 'package.com':  # the replay without the cell file has the cause of its error
+        said, = re.findall(r'package.com: (\[.*?\])', plain.stderr)
+        assert plain.returncode == 1
+        assert json.loads(said) == pytest.approx(KNOWN['package.com'], abs=2e-4)
     commands = [shlex.split(line)[1:] for line in done.stdout.splitlines()
                 if line.startswith('  bellows ')]
     assert ('a cup_cell.yaml' in commands[-1]) == (name != 'cup.length')

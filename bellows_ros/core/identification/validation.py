@@ -15,8 +15,9 @@ from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask
 from bellows_ros.core.identification.least_squares import envelope
-from bellows_ros.core.identification.result import CHANCE
+from bellows_ros.core.identification.result import Cause, CHANCE, MAJORITY
 from bellows_ros.core.identification.segments import path_half_window, PATH_ORDER
+from bellows_ros.core.identification.unknowns import as_found, KINDS
 from bellows_ros.core.model.cup_package import Cup, model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.model.simulation import (
@@ -48,6 +49,13 @@ MAX_NRMSE = 0.05
 
 REST_S = 0.3
 """Shortest initial rest of both bodies in a recording that begins at rest, s."""
+
+FRAME_STEP = 1e-4
+"""Change of a number of a centre of mass or a marker frame, for its effect, m or rad."""
+
+MIN_SHARE_GAIN = 0.1
+"""Smallest additional share of the error that a marker frame explains, which has more numbers than
+a centre of mass."""
 
 DRAW_SEED = 0
 """Seed of the added noise, fixed for reproducible results."""
@@ -379,3 +387,33 @@ def _start(
             return state_row(*np.split(row, [3, 7])), int(package.stamps_ns[first]), 'measured'
     state = rest(model, tool_rows(tool.select(slice(0, 1)))[0])
     return state, int(tool.stamps_ns[0]), 'equilibrium'
+
+
+def frame_cause(found: Validation) -> Cause | None:
+    """
+    Return a centre of mass or a marker frame that explains most of the error beyond noise, if any.
+
+    The error is linear in both: simulations with each of their numbers changed give its slopes.
+    """
+    if found.corners or not found.worse_than_noise:
+        return None
+    usable = np.isfinite(found.error).all(axis=1)
+    error = found.error[usable] / found.noise
+    beyond = float(np.sum(error**2)) - error.size
+    causes = list[Cause]()
+    for name in ('com', 'package_marker'):
+        steps = FRAME_STEP * np.eye(KINDS[name].size)
+        try:
+            changed = [validate(found.cup, as_found(found.recording, {name: step[None]}, 0))
+                       for step in steps]
+        except BellowsError:  # the cup cannot hold a changed package
+            continue
+        slopes = np.stack([((each.error - found.error)[usable] / found.noise).ravel()
+                           for each in changed], axis=1) / FRAME_STEP
+        theta, *_ = np.linalg.lstsq(slopes, -error.ravel(), rcond=None)
+        left = error.ravel() + slopes @ theta
+        std = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes)) * max(np.mean(left**2), 1.0))
+        share = (float(np.sum(error**2)) - float(np.sum(left**2))) / beyond
+        if share > MAJORITY and share > sum(cause.share for cause in causes) + MIN_SHARE_GAIN:
+            causes = [Cause(name, '', np.asarray(theta), np.asarray(std), share, certain=False)]
+    return causes[0] if causes else None
