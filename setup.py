@@ -74,7 +74,7 @@ setup(
     ],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: [
-        'py.typed', '**/*.toml']},
+        'py.typed', '**/*.toml', '**/*.pyi']},
     python_requires='>=3.11',
     # rosbags 0.11.7 is the first that brings lz4 and zstd; clib has the parser in C.
     install_requires=[

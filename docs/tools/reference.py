@@ -2,7 +2,8 @@
 Write the reference pages from what the program itself declares; `make reference`.
 
 Parameters come from the one table, topics from the node, commands from their functions,
-so that no page can say something else than the program does.
+so that no page can say something else than the program does. The stub with the types of the
+parameters makes a wrong name an error of mypy.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -18,7 +19,9 @@ from bellows_ros.files.atomic import write_text
 from bellows_ros.nodes.command import interface
 import click
 
-FOLDER = Path(__file__).resolve().parents[1] / 'reference'
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / 'docs' / 'reference'
+STUB = ROOT / 'bellows_ros' / 'core' / 'parameters' / 'groups.pyi'
 GENERATED = '<!-- Made by docs/tools/reference.py; change the declarations and run it again. -->'
 
 
@@ -153,11 +156,47 @@ def _argument(option: click.Parameter) -> str:
     return f'| `{name}` | {_cell(option.help or "")} |'
 
 
+TYPES = {
+    'bool': 'bool', 'integer': 'int', 'double': 'float', 'string': 'str',
+    'double_array': 'tuple[float, ...]', 'string_array': 'tuple[str, ...]'}
+"""Python types of the kinds of parameters."""
+
+
+def groups() -> Iterator[str]:
+    """Yield the lines of the stub with the types of all parameters by attribute of `Values`."""
+    types: dict[str, dict[str, str]] = {'': {}}  # type by attribute, by prefix of the names
+    for name, parameter in PARAMETERS.items():
+        *prefixes, leaf = name.split('.')
+        for k, prefix in enumerate(prefixes):
+            outer, inner = '.'.join(prefixes[:k]), '.'.join(prefixes[:k + 1])
+            types[outer][prefix] = _class_of(inner)
+            types.setdefault(inner, {})
+        types['.'.join(prefixes)][leaf] = TYPES[parameter.kind]
+    yield '# Made by docs/tools/reference.py from table.toml; run `make reference` again.'
+    for prefix, attributes in reversed(types.items()):
+        yield from ('', f'class {_class_of(prefix)}:')
+        if not prefix:
+            yield '    def __init__(self, prefix: str) -> None: ...'
+        yield from (f'    {name}: {kind}' for name, kind in attributes.items())
+
+
+def _class_of(prefix: str) -> str:
+    """Return the class of the attributes with a prefix; `Groups` without one."""
+    words = prefix.replace('.', '_').split('_')
+    return ''.join(word.capitalize() for word in words) + 'Group' if prefix else 'Groups'
+
+
 PAGES: Mapping[str, Callable[[], Iterator[str]]] = {
     'parameters.md': parameters,
     'topics.md': topics,
     'commands.md': commands,
+    'groups.pyi': groups,
 }
+
+
+def path_of(name: str) -> Path:
+    """Return the path of a page, or of the stub."""
+    return STUB if name == STUB.name else FOLDER / name
 
 
 def text_of(name: str) -> str:
@@ -169,7 +208,7 @@ def main() -> None:
     """Write the pages that are named, or all."""
     FOLDER.mkdir(exist_ok=True)
     for name in sys.argv[1:] or PAGES:
-        write_text(FOLDER / name, text_of(name))
+        write_text(path_of(name), text_of(name))
 
 
 if __name__ == '__main__':

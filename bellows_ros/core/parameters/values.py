@@ -1,25 +1,12 @@
-"""Values of parameters, read by attribute: `values.package.mass`."""
+"""Values of parameters, read by attribute: `values.package.mass`; mypy finds wrong names."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from bellows_ros.errors import NotSetError
+from bellows_ros.core.parameters.groups import Groups
 
 
-class Group:
-    """Parameters with one prefix, as attributes; groups within are attributes, too."""
-
-    def __init__(self, prefix: str) -> None:
-        self._prefix = prefix
-
-    def __getattr__(self, name: str) -> Any:
-        """Raise for a parameter without a value."""
-        if name.startswith('_'):
-            raise AttributeError(name)
-        raise NotSetError(f"'{self._prefix}{name}' is not set, and has no default. Set it.")
-
-
-class Values(Group, Mapping[str, Any]):
+class Values(Groups, Mapping[str, Any]):
     """
     Immutable values of parameters, by dotted name or by attribute.
 
@@ -37,9 +24,9 @@ class Values(Group, Mapping[str, Any]):
         self._items = dict(items)
         for name, value in self._items.items():
             *prefixes, leaf = name.split('.')
-            group: Group = self
+            group: Any = self
             for prefix in prefixes:
-                group = vars(group).setdefault(prefix, Group(f'{group._prefix}{prefix}.'))
+                group = vars(group).setdefault(prefix, Groups(f'{group._prefix}{prefix}.'))
             vars(group)[leaf] = value
 
     def __getitem__(self, name: str) -> Any:
