@@ -100,13 +100,13 @@ def identify(
     failed: Sequence[Failed] = ()
     with _runner(jobs, dask, len(bags)) as run:
         if run:
-            pairs, parts, failed = _read_elsewhere(bags, each, keep, progress, run)
+            measured, parts, failed = _read_elsewhere(bags, each, keep, progress, run)
         else:
-            pairs, parts = _read_here(bags, each, keep, progress, poses or {})
+            measured, parts = _read_here(bags, each, keep, progress, poses or {})
         if not force:
             _require_no_faults(parts, effective, FORCE)
         return _identify(
-            values, effective, parts, static, progress, pairs, _assumed(settings), failed)
+            values, effective, parts, static, progress, measured, _assumed(settings), failed)
 
 
 def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['Cluster | None']:
@@ -173,7 +173,7 @@ def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
 def read_part(
     keep: Container[str], poses: Mapping[str, Poses], number: int, bag: str, path: str,
     values: Values,
-) -> tuple[fitting.Pair, AnyRecording]:
+) -> tuple[fitting.Measured, AnyRecording]:
     """
     Read and reduce a recording; return the reduced recording for a fit, and the recording if kept.
 
@@ -204,13 +204,14 @@ def read_part(
     else:
         recording = reading.load(path, values, name=bag, held=True)
     recording = reading.checked(recording)
-    part, pair = reduced(recording, values.cup.length), fitting.pair_of(recording, values, number)
-    return pair, recording if bag in keep else part
+    part = reduced(recording, values.cup.length)
+    measured = fitting.measured_of(recording, values, number)
+    return measured, recording if bag in keep else part
 
 
 def _attempted(
     keep: Container[str], number: int, bag: str, path: str, values: Values
-) -> tuple[fitting.Pair | None, AnyRecording | Failed]:
+) -> tuple[fitting.Measured | None, AnyRecording | Failed]:
     """Return the result of `read_part`, or the reason to leave the recording out."""
     configure_process()
     try:
@@ -226,15 +227,15 @@ def _read_here(
     poses: Mapping[str, Poses],
 ) -> tuple[Held, list[AnyRecording]]:
     """Return recordings read one after the other, all of which must be usable."""
-    pairs, parts = list[fitting.Pair](), list[AnyRecording]()
+    measured, parts = list[fitting.Measured](), list[AnyRecording]()
     for number, (bag, own) in enumerate(zip(bags, values, strict=True)):
         progress(f'reading {bag}', FIT_BEGINS * number / len(bags))
-        pair, part = read_part(keep, poses, number, bag, bag, own)
-        pairs.append(pair)
+        own_measured, part = read_part(keep, poses, number, bag, bag, own)
+        measured.append(own_measured)
         parts.append(part)
         for _, sentence in reading.duplicates((one.name, one.digest) for one in parts):
             raise BellowsError(sentence)
-    return here(pairs), parts
+    return here(measured), parts
 
 
 def _read_elsewhere(
@@ -260,13 +261,13 @@ def _read_elsewhere(
         raise BellowsError(
             f'None of {len(failed)} recordings can be used. The first, '
             f"'{failed[0].bag}': {failed[0].reason}")
-    pairs = run.keep(itemgetter(0), [read.values[n] for n in usable])
-    return pairs, [outcomes[n] for n in usable], failed
+    measured = run.keep(itemgetter(0), [read.values[n] for n in usable])
+    return measured, [outcomes[n] for n in usable], failed
 
 
 def _identify(
     values: Values, effective: Values, parts: Sequence[AnyRecording],
-    static: StaticResult | None, progress: Progress, pairs: Held,
+    static: StaticResult | None, progress: Progress, measured: Held,
     assumed: tuple[str, ...], failed: Sequence[Failed],
 ) -> identification.Identification:
     """
@@ -279,7 +280,7 @@ def _identify(
         fit = fitting.fit(
             parts, effective,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), pairs)
+            static.standstills if static else (), measured)
     except BellowsError:
         _require_no_faults(parts, effective)
         raise

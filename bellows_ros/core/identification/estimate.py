@@ -1,7 +1,8 @@
 """
 Search for K and P with which the model, driven by the tool, reproduces all poses.
 
-The first stage follows the measured path of the tool, with trust regions about the unknowns. In
+The first stage begins at the best of several stiffnesses, and follows the measured path of the
+tool, with trust regions about the unknowns. In
 the second stage the steps are Gauss-Newton steps, and the path of the tool and the noise of slow
 poses are renewed with each: with derivatives along the likeliest path the mean of the steps is
 zero at the truth, unlike the gradient of chi² along the measured one.
@@ -38,6 +39,10 @@ MAX_ANDERSON_WEIGHT = 0.9
 
 NOISE_TOLERANCE = 0.03
 """Relative change of the noise of slow poses below which the noise is kept."""
+
+MODES_HZ = 3.0, 40.0
+"""Frequencies of the axial mode between which initial guesses are tried; those of bellows with a
+package are 6 to 25 Hz."""
 
 MAX_STEPS = 60, 40
 """Largest number of steps in the two stages, twice that of 7 of 8 full matrices from a diagonal
@@ -286,8 +291,52 @@ def minimise(problem: Problem, report: Report = no_report) -> Solution:
 def approach(problem: Problem, report: Report = no_report) -> Solution:
     """Return the end of the first stage, along the measured paths, with the noise renewed."""
     rough = replace(problem, is_rough=True)
-    near = _near(evaluated(rough, problem.start, measured_courses(rough)), report)[0]
-    return replace(near, problem=problem, courses=renewed(near)[0])
+    near = _near(_best_start(rough), report)[0]
+    return replace(near, problem=replace(near.problem, is_rough=problem.is_rough),
+                   courses=renewed(near)[0])
+
+
+def _best_start(problem: Problem) -> Solution:
+    """
+    Return the best of the initial guesses whose stiffness is scaled, with ordinary damping.
+
+    The sum of squares has a minimum wherever a mode of the model meets another one of the motion,
+    and steps lead to the nearest. Each sum is that at the best other unknowns, to first order.
+
+    Raises
+    ------
+    BellowsError
+        If no simulation is possible.
+
+    """
+    courses, failure = measured_courses(problem), None
+    best, least = None, math.inf
+    for scale in _scales(problem):
+        guess = replace(problem.guess, stiffness=scale * problem.guess.stiffness,
+                        damping=np.zeros((6, 6)))
+        scaled = replace(problem, guess=guess)
+        try:
+            at = evaluated(scaled, scaled.start, courses)
+        except BellowsError as error:  # unstable, or too fast
+            failure = failure or error
+            continue
+        information, slope = _tempered(at)
+        others = np.arange(len(slope)) >= problem.count
+        squares = at.total.squares - information.fall(slope, others)
+        if best is None or squares < least:
+            best, least = at, squares
+    if best is None:
+        assert failure is not None
+        raise failure
+    return best
+
+
+def _scales(problem: Problem) -> list[float]:
+    """Return powers of two, 1 among them, with axial modes of the packages within `MODES_HZ`."""
+    masses = [outline.payload.mass for outline in problem.outlines]
+    mode_hz = np.sqrt(problem.guess.stiffness[2, 2] / np.median(masses)) / (2.0 * math.pi)
+    low, high = (math.floor(2.0 * math.log2(limit / mode_hz)) for limit in MODES_HZ)
+    return [2.0**power for power in range(min(low, 0), max(high, 0) + 1)]
 
 
 def measured_courses(problem: Problem) -> Held:

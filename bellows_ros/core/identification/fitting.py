@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
-from operator import itemgetter
 from typing import NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
@@ -74,7 +73,7 @@ from bellows_ros.core.model.cup_package import Cup, LAW
 from bellows_ros.core.model.structure import AUTO, has_coupling, require_stretch, Structure
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of, richest_structure
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.recording import LOW_RATE_HZ, Recording
+from bellows_ros.core.recording.recording import Recording
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
@@ -481,18 +480,19 @@ MAX_DAMPING_STD = 0.25
 UNLOADED_PARAMETER = 'K rz'
 """The stiffness that no weight loads: it also shows that the cup moves."""
 
-Pair = tuple[Segments, Statistics]
-"""The segments of a recording, empty for least squares, and its statistics."""
+Measured = Segments | Statistics
+"""What a fit needs of a recording: its segments, or for least squares its statistics."""
 
 
-def pair_of(recording: Recording, values: Values, number: int = 0) -> Pair:
-    """Return the parts of a recording for a fit."""
-    is_simulated, structure = values.fit.method == 'output_error', given_structure(values)
-    return (
-        segments_of(recording, number) if is_simulated else (),
-        recording.cached(('statistics', values.cup.length, structure), partial(
-            statistics, samples_of(recording), values.cup.length, structure,
-            [*zip(recording.noise, (body.weights for body in recording.filters), strict=True)])))
+def measured_of(recording: Recording, values: Values, number: int = 0) -> Measured:
+    """Return what the method of the fit needs of a recording."""
+    if values.fit.method == 'output_error':
+        return segments_of(recording, number)
+    structure = given_structure(values)
+    weights = [body.weights for body in recording.filters]
+    return recording.cached(('statistics', values.cup.length, structure), partial(
+        statistics, samples_of(recording), values.cup.length, structure,
+        [*zip(recording.noise, weights, strict=True)]))
 
 
 def fit(
@@ -500,7 +500,7 @@ def fit(
     values: Values,
     progress: Progress | None = None,
     standstills: Sequence[Standstill] = (),
-    pairs: Held | None = None,
+    measured: Held | None = None,
 ) -> Fit:
     """
     Fit a cup to recordings, as the parameters specify.
@@ -518,8 +518,8 @@ def fit(
         Callback with the current step and its completed fraction (0 to 1).
     standstills : sequence of Standstill
         Standstills of the cup, whose balance is part of a fit by output error.
-    pairs : Held, optional
-        Pairs of `pair_of`; required for reduced recordings.
+    measured : Held, optional
+        Results of `measured_of`; required for reduced recordings.
 
     Raises
     ------
@@ -527,12 +527,12 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    result = fitted(recordings, values, progress, pairs, standstills=standstills)
+    result = fitted(recordings, values, progress, measured, standstills=standstills)
     unknown = [name for name in result.named if not KINDS[name].each and not np.all(
         np.isfinite(result.nuisances_std[name]))]
     if result.converged and unknown:  # they keep their given values
         known = values.replaced({'fit.free': tuple(set(values.fit.free) - {*unknown})})
-        result = fit(recordings, known, progress, standstills, pairs)
+        result = fit(recordings, known, progress, standstills, measured)
         return replace(result, notes=(*result.notes, Finding('not_freed', Level.WARN, {
             'names': ', '.join(unknown)})))
     _require_motion(result)
@@ -568,7 +568,7 @@ def _report(progress: Progress, steps: Iterator[int], cup: Cup, chi2: float) -> 
 
 def fitted(
     recordings: Sequence[AnyRecording], values: Values, progress: Progress | None = None,
-    pairs: Held | None = None, exactly: bool = False, standstills: Sequence[Standstill] = (),
+    measured: Held | None = None, exactly: bool = False, standstills: Sequence[Standstill] = (),
 ) -> Fit:
     """
     Return the fit to recordings.
@@ -576,44 +576,21 @@ def fitted(
     A fit by simulation estimates all uncertain quantities jointly with K and P, or takes given
     quantities as exact, so that the causes of a misfit are found.
     """
-    if pairs is None:
-        pairs = here([
-            pair_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))])
-    structure, sums = given_structure(values), pairs.pool.results(itemgetter(1), pairs)
+    if measured is None:
+        measured = here([
+            measured_of(each, values, n) for n, each in enumerate(whole_recordings(recordings))])
     if values.fit.method == 'least_squares':
-        return least_squares(sums)
+        return least_squares(measured.pool.gather(measured.values))
+    structure = given_structure(values)
     law = {name: 'off' if structure.places and not term.is_additive else values[f'fit.{name}']
            for name, term in LAW.items() if f'fit.{name}' in values}
     start = one_cup_of(values).with_terms({name: NO_LAW[name] for name in law})
     parts = [reduced(recording, values.cup.length) for recording in recordings]
-    if all(part.rate_hz >= LOW_RATE_HZ for part in parts):
-        start = start_cup(sums, start)
     named = tuple(dict.fromkeys([
         *values.fit.free, *['package_world'] * any(part.package_world for part in parts)]))
     return output_error(
-        pairs.pool.keep(itemgetter(0), pairs), structure, start,
+        measured, structure, start,
         partial(_report, progress, count(1)) if progress else no_report, weak_prior(named), named,
         law, {} if exactly else given_std(values),
         richest_structure(values) if values.fit.structure == AUTO else None,
         MARKERS if values.recording.marker == 'shared' else (), standstills)
-
-
-MIN_LATERAL = 1.0 / 3.0
-"""Smallest lateral stiffness of a first cup, relative to the axial one: bellows have 0.3 to 0.9 of
-it, and least squares finds a tenth where the lip hardly moves sideways."""
-
-
-def start_cup(parts: Sequence[Statistics], given: Cup) -> Cup:
-    """
-    Return the initial cup of output error: K by least squares, without damping.
-
-    Unidentifiable or negative entries of K are taken from the given cup. Damping by least squares
-    is mostly noise, and may be a hundred times that of any rubber.
-    """
-    result = least_squares(parts)
-    is_known = np.isfinite(result.stiffness_std) & (result.stiffness >= 0.0)
-    stiffness = np.where(is_known, result.stiffness, given.stiffness)
-    lateral = [0, 1]
-    stiffness[lateral, lateral] = np.maximum(
-        stiffness[lateral, lateral], MIN_LATERAL * stiffness[2, 2])
-    return replace(given, stiffness=stiffness, damping=np.zeros((6, 6)))

@@ -4,40 +4,21 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 from bellows_ros.core.identification import fitting
-from bellows_ros.core.identification.fitting import fit, start_cup
-from bellows_ros.core.identification.least_squares import samples_of, statistics
+from bellows_ros.core.identification.fitting import fit
 from bellows_ros.core.identification.result import Cause
-from bellows_ros.core.identification.segments import segments_of
-from bellows_ros.core.identification.unknowns import Problem
 from bellows_ros.core.model.structure import STRUCTURES
 from bellows_ros.core.parameters.checks import resolve
 from bellows_ros.errors import BellowsError
 import numpy as np
-from numpy.testing import assert_allclose
 import pytest
 
 from ...cell.cup import PLATE, THESIS
 from ...cell.motion import shake
-from ...cell.sensors import least_squares, record
+from ...cell.sensors import record
 
 ROUND = STRUCTURES['axisymmetric']
 VALUES = resolve({'fit.method': 'least_squares', 'cup.length': THESIS.length,
                   'package.mass': PLATE.mass})
-
-
-def test_the_output_error_starts_from_ordinary_damping_and_no_cup_that_is_soft_sideways():
-    """With a tool that is stamped 8 ms late, which turns damping negative."""
-    recording = record(shake(seed=3), later=0.008)
-    samples = [samples_of(recording)]
-    result = least_squares(samples, THESIS.length, ROUND)
-    assert np.any(np.diag(result.damping) < 0.0)
-    start = start_cup([statistics(own, THESIS.length, ROUND) for own in samples], THESIS)
-    K, found = np.diag(start.stiffness), np.diag(result.stiffness)
-    assert_allclose(K[2:], found[2:])
-    assert_allclose(K[:2], np.maximum(found[:2], K[2] / 3.0))
-    first = Problem.of(segments_of(recording), ROUND, start, {}).first_cup
-    modes = np.linalg.eigvals(np.linalg.solve(first.stiffness, first.damping)).real
-    assert np.all(modes > 0.0)
 
 
 TOO_LITTLE = pytest.raises(BellowsError, match='K rz')
