@@ -17,7 +17,6 @@ payload, which is not tested with wrenches: `Observer.departs_from_file` compare
 
 from __future__ import annotations
 
-import math
 from typing import Any, TYPE_CHECKING
 
 from bellows_ros.core.geometry import tuples as t3
@@ -277,23 +276,25 @@ class WrenchFilter:
         P = before.covariance
         HP = H @ P
         S = HP @ H.T + np.diag(variance)
-        root = np.linalg.cholesky(S)
-        z = np.linalg.solve(root, y)
-        excess = float(z @ z) / GATE
-        if excess > 1.0:
-            S += (excess - 1.0) * S
-            root, z = math.sqrt(excess) * root, z / math.sqrt(excess)
-        memory = _learned(memory, y / np.sqrt(np.diag(S)), variance / np.diag(S))
-        W = np.linalg.solve(root, HP)
-        gain, of_kept = W.copy(), np.zeros_like(W)
-        gain[:, kept], of_kept[:, kept] = 0.0, W[:, kept]
-        body, theta = changed_by(before.body, before.theta, gain.T @ z)
+        refused = before._replace(outside=min(before.outside + 1, PERSISTING))
+        try:
+            inverse = np.linalg.inv(S)
+        except np.linalg.LinAlgError:  # the model moves too far in a block for any number
+            return refused
+        excess = max(float(y @ inverse @ y) / GATE, 1.0)
+        S *= excess
+        learned = tuple(_learned(
+            memory, y / np.sqrt(np.diag(S)), variance / np.diag(S)).tolist())
+        gain = HP.T @ inverse / excess  # (n, 6)
+        gain[kept] = 0.0
+        body, theta = changed_by(before.body, before.theta, gain @ y)
         if not dynamics.is_possible(body, theta, correction.largest):
-            excess, body, theta, W, of_kept = math.inf, *before[2:4], 0.0 * W, 0.0 * W
+            return refused._replace(wrench_memory=learned)
+        left = np.eye(len(P)) - gain @ H
+        updated = left @ P @ left.T + gain @ (S - HP @ H.T) @ gain.T  # Joseph: never indefinite
         return before._replace(
-            body=body, theta=theta, covariance=P - W.T @ W + of_kept.T @ of_kept,
-            wrench_memory=tuple(memory.tolist()),
-            outside=min(before.outside + 1, PERSISTING) if excess > 1.0 else 0)
+            body=body, theta=theta, covariance=0.5 * (updated + updated.T),
+            wrench_memory=learned, outside=refused.outside if excess > 1.0 else 0)
 
 
 def _with_sensor(estimate: Estimate, prior: Array) -> Estimate:

@@ -97,6 +97,16 @@ def test_wrenches_of_any_size_leave_finite_numbers(size):
                for each in live.alarms)
 
 
+@pytest.mark.parametrize('more', [
+    {'package.com': [0.0, 0.0, -0.2], 'package.mass_std': 0.18, 'package.com_std': [-1.0] * 3},
+    {'cup.layout': [0.0, 0.0, 1.0]}])
+def test_wrenches_that_contradict_the_parameters_are_refused(more):
+    """Predict on, whatever the package or the gripper is said to be."""
+    run = simulated(0, 'UR', True, 1.4)
+    live, errors = predict(run._replace(parameters={**run.parameters, **more}), 0)
+    assert np.isfinite(errors).all() and np.isfinite(live.payload.mass)
+
+
 def test_time_that_goes_back_restarts_the_wrenches():
     """As a recording that is played in a loop: a reset forgets their stamps."""
     made, wrench = observer(), ((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
