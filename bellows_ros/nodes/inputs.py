@@ -441,6 +441,8 @@ class PackageInput:
             more['mass (kg)'] = f'{payload.mass:.4g} ± {payload.mass_std:.2g}'
             for axis, value, std in zip('xyz', payload.com, payload.com_std, strict=True):
                 more[f'com {axis} (mm)'] = f'{1e3 * value:.2f} ± {1e3 * std:.2g}'
+        if not math.isnan(slip := observer.smallest_slip):
+            more['smallest slip found (mm)'] = f'{1e3 * slip:.1f}'
         more |= Counter(f'alarm: {alarm.kind}' for alarm in live.alarms)
         is_needed = live.attached and self._measured_in.last_ns >= 0
         status = health.input_status('measured package', self._measured_in.report(

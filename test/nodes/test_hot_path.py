@@ -183,7 +183,7 @@ set_on(predictor, 'package.size', [0.2, 0.1, 0.1])
 send(2)
 needed_later = sorted(set(needed))
 tracemalloc.start()
-send(200)
+send(400)  # longer than the filter's history
 before = held()
 send(600)
 after = held()

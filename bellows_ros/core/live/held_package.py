@@ -145,7 +145,8 @@ class HeldPackage:
     def _begin(self, body: State) -> None:
         """Let the observer begin with the newest sample and a package."""
         assert self.sample
-        self.observer.start(self.sample.stamp_ns, self.sample.tool, body)
+        self.observer.start(
+            self.sample.stamp_ns, self.sample.tool, body, not self.settling.is_known)
         if self.settling.is_known:
             self.observer.settle(self.settling.error_at)
 

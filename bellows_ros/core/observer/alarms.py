@@ -3,7 +3,10 @@ Three alarms: a package is lost, its poses deviate, or it differs from its param
 
 `deviates`: moving means of whitened innovations m += (z - m) / n with several n; without faults m
 has the variance (1 - (1 - 1/n)^(2k)) / (2n - 1) after k poses, and its normalised square is chi^2
-of 6. `differs`: a parameter has changed by five standard deviations sqrt(P0 - P) of its change.
+of 6. `differs`: a parameter has changed by five standard deviations sqrt(P0 - P) of its change,
+which is the difference of its value by the poses alone (`shown_alone`) from the stated value, in
+standard deviations of this difference. Poses show K/m and P/m, as a common scale of K, P and mass
+does not change the motion: the test of the mass is the test of the ratio `RATIO`.
 `lost` by poses: a free fall from a recent onset explains the innovations z = W y instead of the
 held package. A fall moves the pose by c from the held one, which gives the log-likelihood ratio
 z^T W c - |W c|^2 / 2 of each pose.
@@ -21,12 +24,15 @@ from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import Vector, ZERO
 from bellows_ros.core.model.equilibrium import pose_error
 from bellows_ros.core.model.simulation import row_state
-from bellows_ros.core.observer.measurement import Corrected, SHARES
+from bellows_ros.core.observer.measurement import Corrected, LEAST_KNOWN, SHARES
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 LOST, DEVIATES, DIFFERS = KINDS = 'lost', 'deviates', 'differs'
 """Kinds of alarms."""
+
+RATIO = 'cup.stiffness / package.mass'
+"""Name of the ratio K/m, whose value is relative to the stated one."""
 
 VIEW_NS = 3_000_000_000
 """Shortest duration of a deviation of a tag, ns: its errors last as long as a view and its blur,
@@ -68,11 +74,11 @@ class Alarm(NamedTuple):
     rotation: Vector = ZERO
     """Rotation, rad, world."""
     parameter: str = ''
-    """Name of the parameter that differs."""
+    """Name of the parameter that differs, or `RATIO`."""
     value: tuple[float, ...] = ()
-    """Its estimate."""
+    """Its value by the measurements alone."""
     std: tuple[float, ...] = ()
-    """Standard deviations of the estimate."""
+    """Standard deviations of this value."""
     cup: int = -1
     """Index in cup.layout of a lost cup; -1 for the package."""
     place: tuple[float, float] = (0.0, 0.0)
@@ -84,6 +90,11 @@ class Alarm(NamedTuple):
     def finding(self) -> Finding:
         """The finding, for a sentence."""
         code = self.kind if self.cup < 0 else 'lost_cup'
+        if self.parameter == RATIO:
+            share = self.value[0] - 1.0
+            code = 'softer' if share < 0.0 else 'stiffer'
+            return Finding(f'alarm_{code}', Level.ERROR, {
+                'share': abs(share), 'std': self.std[0]}, self.parameter)
         seconds = (self.stamp_ns - self.since_ns) / NS_PER_S if self.since_ns else math.nan
         (x, y), along = self.place, t3.scale(1.0 / max(t3.norm(self.shift), 1e-9), self.shift)
         return Finding(f'alarm_{code}', Level.ERROR, {
@@ -101,6 +112,33 @@ def is_deviation(square: float, false_per_hour: float, period: float) -> bool:
     """
     chance = math.exp(-0.5 * square) * (1.0 + 0.5 * square + 0.125 * square * square)
     return bool(chance * SHARES.sum() * 3600.0 < false_per_hour * period)
+
+
+def smallest_slip(seen: Corrected, false_per_hour: float, period: float) -> float:
+    """
+    Return the smallest shift (m) in any direction that the shortest moving mean shows by itself.
+
+    The period (s) is that of the poses. The threshold is that of `is_deviation`.
+    """
+    chance, square = false_per_hour * period / (3600.0 * SHARES.sum()), 40.0
+    for _ in range(20):
+        square = 2.0 * math.log((1.0 + 0.5 * square + 0.125 * square * square) / chance)
+    variance = SHARES[0] / (2.0 - SHARES[0])  # of the mean, 1 / (2 n - 1)
+    W = np.linalg.inv(seen.whitener)
+    largest = float(np.linalg.norm(W[:3], 2))  # standard deviation of an innovation
+    return math.sqrt(square * variance) * largest
+
+
+def shown_alone(change: Array, prior: Array, variance: Array) -> tuple[Array, Array]:
+    """
+    Return changes by the measurements alone, without the prior, and their standard deviations.
+
+    The arguments (k,) are estimated changes, and their variances before and after. With the
+    variance R of the measurements, P = P0 R / (P0 + R), and the estimate is P / R of the change.
+    """
+    gained = np.maximum(prior - variance, LEAST_KNOWN * prior)
+    weight = prior / np.maximum(gained, 1e-99)
+    return weight * change, np.sqrt(weight * variance)
 
 
 def deviation(seen: Corrected, z: Array, since_ns: int) -> Alarm:

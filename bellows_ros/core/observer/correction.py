@@ -68,6 +68,12 @@ wrong payload would appear as noise with a long memory.
 """
 
 WRENCH_ROWS = np.arange(states.WRENCH, states.WRENCH + 6)
+COM_ROWS = np.arange(states.COM, states.COM + 3)
+MARKER_ROWS = np.arange(states.MARKER, states.MARKER + 6)
+SLIP = np.array([5e-3, 5e-3, 0.0])
+"""Standard deviations of the shift of a lip that slips over the package, m."""
+SLIPPING_ROWS = np.r_[COM_ROWS, WRENCH_ROWS, MARKER_ROWS]
+"""Rows of what a slip or a push changes for good."""
 INERTIAS = slice(states.INERTIA, states.INERTIA + 3)
 STIFFNESSES = slice(states.STIFFNESS, states.STIFFNESS + 6)
 
@@ -124,11 +130,11 @@ class Correction:
         prior = np.diag(np.square(self.prior))
         prior[INERTIAS, INERTIAS] = inertia
         n, memory = states.ROWS_WITHOUT_SENSOR, first_memory()
-        memory[ekf.SHARE] = np.square(self.prior[STIFFNESSES]).min().clip(
-            measured.SHARE_RANGE[0], MODEL_ERROR_SHARE)
+        memory[ekf.SHARE] = min(np.square(self.prior[STIFFNESSES]).min(), MODEL_ERROR_SHARE)
         self.initial = Estimate(
             0, ORIGIN, ORIGIN, np.zeros(n - STATE), prior[:n, :n].copy(), memory)
         self._prior_of_differing = np.square(self.prior[DIFFERING_ROWS])
+        self._prior_after_slip = self._prior_of_differing + np.r_[0.0, [math.inf] * 3]  # untested
         self.largest = LARGEST.copy()
         self.largest[WRENCH_ROWS] *= self.weight
         self._walk = np.square(walk)
@@ -142,12 +148,28 @@ class Correction:
 
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: Estimate, std: Array | None,
+        rests_on_support: bool,
     ) -> Estimate:
-        """Return the initial estimate of a package, with stated deviations (12,), if known."""
+        """
+        Return the initial estimate of a package.
+
+        Its state errs by the swing, of standard deviations (12,), if known, and by the errors of
+        the parameters, which displace the equilibrium of a hanging package. The slope of this
+        displacement errs by the relative errors of mass and K.
+        """
         self._drive = dynamics.driving(self.nominal, tool, body, self._tool_noise)
         P = initial.covariance.copy()
-        if std is not None:
-            P[:STATE, :STATE] = np.diag(np.square(std))
+        swing = self.prior[:STATE] if std is None else std
+        P[:STATE, :STATE] = np.diag(np.square(swing))
+        if not rests_on_support:
+            slope = dynamics.equilibrium_slope(self.nominal, initial.theta, tool, body)
+            of_parameters = initial.covariance[STATE:states.MARKER, STATE:]
+            P[:6, STATE:] = slope @ of_parameters
+            P[STATE:, :6] = P[:6, STATE:].T
+            displaced = P[:6, STATE:states.MARKER] @ slope.T
+            variance = np.diag(initial.covariance)
+            share = variance[states.MASS] + variance[STIFFNESSES].max()  # of the slope's error
+            P[:6, :6] += 0.5 * (displaced + displaced.T) + share * np.diag(np.diag(displaced))
         return Estimate(stamp_ns, tool, body, initial.theta, P, initial.memory)
 
     def _step(
@@ -159,15 +181,20 @@ class Correction:
         if support == CONTACT:
             walk = walk.copy()
             walk[WRENCH_ROWS[:3]] += np.square(self._weight_in(before.body)) / TOUCHDOWN
+        prior = self._prior_after_slip if before.has_slipped else self._prior_of_differing
+        seen = MeasuredPose(
+            measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
+            self.holding_reach, self.largest, gate, before.evidence.means, prior)
+        is_early = before.evidence.poses < alarms.KNOWN_COUNT
+        learns = before.memory[ekf.COUNT] < alarms.KNOWN_COUNT or bool(
+            before.evidence.means[2].max() <= USUAL)
         result = measured.filter_step(
             self.row, self.law, before[:6], track.samples, stamp_ns, self.max_step,
-            (self._drive, walk, self._marker[3][0]), MeasuredPose(
-                measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,
-                self.holding_reach, self.largest, gate, before.evidence.means,
-                self._prior_of_differing), before.evidence.poses < alarms.KNOWN_COUNT,
-            before.memory[ekf.COUNT] < alarms.KNOWN_COUNT
-            or bool(before.evidence.means[2].max() <= USUAL))
-        return result, Estimate(*result.estimate, *before[6:])._replace(support=support)
+            (self._drive, walk, self._marker[3][0]), seen, is_early, learns)
+        later_ns, tool, body, theta, P, memory = result.estimate
+        return result, before._replace(
+            stamp_ns=later_ns, tool=tool, body=body, theta=theta, covariance=P, memory=memory,
+            support=support)
 
     def propagated(self, estimate: Estimate, track: ekf.Track, stamp_ns: int) -> Estimate:
         """Return an estimate at a later stamp, which the package has already passed."""
@@ -273,31 +300,46 @@ class Correction:
             alarms.VIEW_NS if self._marker[3][0] else alarms.CONFUSED_NS)
         if is_brief and after.gated_ns:
             return after, None
-        after, alarm = self._differing(after, before.evidence.after(seen), seen.changes)
+        after, alarm = self._differing(after, before.evidence.after(seen, after), seen.changes)
         memory, (means, _, squares) = after.memory, seen.means
         if alarm or is_brief or memory[ekf.COUNT] <= alarms.KNOWN_COUNT or not (
                 alarms.is_deviation(squares.max(), self.false_per_hour, memory[ekf.PERIOD])):
             return after, alarm
-        return self._renewed(after), alarms.deviation(seen, means[squares.argmax()], since_ns)
+        alarm = alarms.deviation(seen, means[squares.argmax()], since_ns)
+        return self._reopened(after, before), alarm
 
     def _differing(
         self, estimate: Estimate, evidence: Evidence, sizes: Array
     ) -> tuple[Estimate, Alarm | None]:
-        """Return an estimate with evidence and its count of a parameter that differs."""
-        count = evidence.differing + 1 if sizes.max() > alarms.SIGNIFICANCE else 0
-        estimate = estimate._replace(evidence=evidence._replace(differing=count))
-        if count < alarms.DIFFERING or not self.false_per_hour:
+        """
+        Return an estimate with evidence and its count of a parameter that differs.
+
+        Poses that do not fit the corrected prediction are evidence of no parameter.
+        """
+        fits = evidence.means[2].max() <= USUAL and not estimate.gated_ns
+        differs = fits and sizes.max() > alarms.SIGNIFICANCE
+        estimate = estimate._replace(
+            evidence=evidence._replace(differing=evidence.differing + 1 if differs else 0))
+        if estimate.evidence.differing < alarms.DIFFERING or not self.false_per_hour:
             return estimate, None
         return estimate, self._difference(estimate, int(sizes.argmax()))
 
-    def _difference(self, estimate: Estimate, row: int) -> Alarm:
+    def _difference(self, estimate: Estimate, place: int) -> Alarm:
         """Return the alarm on a parameter that differs, by its place among `DIFFERING_ROWS`."""
-        mass, com, _, _ = dynamics.model_at(self.row, self.law, estimate.theta)[1]
-        std = np.sqrt(np.diag(estimate.covariance)[DIFFERING_ROWS]).tolist()
+        theta, std = alarms.shown_alone(
+            estimate.theta[DIFFERING_ROWS - STATE], self._prior_of_differing,
+            np.diag(estimate.covariance)[DIFFERING_ROWS])
+        mass, com = self.nominal[1][:2]
         alarm = Alarm(estimate.stamp_ns, alarms.DIFFERS)
-        if row == 0:
+        if place > 0:
+            shown = np.add(com, theta[1:]).tolist()
+            return alarm._replace(
+                parameter='package.com', value=tuple(shown), std=tuple(std[1:].tolist()))
+        if len(estimate.covariance) == states.ROWS:  # a force sensor weighs the package
+            mass *= math.exp(theta[0])
             return alarm._replace(parameter='package.mass', value=(mass,), std=(std[0] * mass,))
-        return alarm._replace(parameter='package.com', value=com, std=tuple(std[1:]))
+        ratio = math.exp(-theta[0])
+        return alarm._replace(parameter=alarms.RATIO, value=(ratio,), std=(std[0] * ratio,))
 
     @staticmethod
     def _renewed(estimate: Estimate) -> Estimate:
@@ -309,6 +351,20 @@ class Correction:
         """Return an estimate of a package just released by its support."""
         return self._renewed(
             estimate.with_rows(self.initial, WRENCH_ROWS)._replace(support=0, away_ns=0))
+
+    def _reopened(self, estimate: Estimate, before: Estimate) -> Estimate:
+        """
+        Return an estimate after a deviation from the estimate before.
+
+        Parameters are those of the last usual estimate; a slip or a push changes the centre of
+        mass, the marker and the wrench, which are unknown again; that centre of mass is no longer
+        compared with the stated one.
+        """
+        usual = before.evidence.usual or before
+        reopened = estimate.with_rows(usual, states.KNOWN_ROWS).with_rows(
+            self.initial, SLIPPING_ROWS)._replace(has_slipped=True)
+        reopened.covariance[COM_ROWS, COM_ROWS] += np.square(SLIP)
+        return self._restarted(reopened, before.memory)
 
     def _restarted(self, estimate: Estimate, memory: Array) -> Estimate:
         """Return an estimate with initial uncertainty, for the next pose to correct."""

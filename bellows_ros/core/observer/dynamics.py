@@ -21,6 +21,7 @@ from bellows_ros.core.observer.states import (
     COM,
     DAMPING,
     INERTIA,
+    MARKER,
     MASS,
     SPEED,
     SPIN,
@@ -186,6 +187,29 @@ def slopes(
         write_difference(now, acceleration(
             with_theta(nominal, changed), wrench_bias(changed), tool, body), j, B)
         changed[j - STATE] = theta[j - STATE]
+
+
+@entry
+def slopes_at(
+    nominal: ModelTuple, theta: Array, tool: State, body: State
+) -> tuple[Array, Array]:
+    """Return the results of `slopes`, A (12, 12) and B (6, MARKER)."""
+    A, B = np.zeros((STATE, STATE)), np.zeros((6, MARKER))
+    slopes(nominal, theta, tool, body, A, B)
+    return A, B
+
+
+def equilibrium_slope(
+    nominal: ModelTuple, theta: Array, tool: State, body: State
+) -> Array:
+    """
+    Return the derivative (6, k) of an equilibrium's pose by the rows of theta before `MARKER`.
+
+    A change of the parameters changes the acceleration of the package; its pose changes so that
+    the acceleration remains.
+    """
+    A, B = slopes_at(nominal, theta, tool, body)
+    return np.asarray(-np.linalg.solve(A[6:, :6], B[:, STATE:]))
 
 
 @entry

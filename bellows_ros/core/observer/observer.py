@@ -114,6 +114,7 @@ class Observer:
         self._pending: list[Measurement] = []  # newer than the tool
         self._newest: Estimate | None = None  # at the newest sample, if requested
         self._error_at: Callable[[int], Array] | None = None  # of a start
+        self._waits = False  # for `settle`
         self._delay_ns = 0  # of the newest measurement at its arrival
         self._last_ns = deque([0], 3)  # stamps of the newest measurements
         self._vacuum: tuple[int, bool, float] | None = None  # stamp, whether it holds, and period
@@ -192,8 +193,6 @@ class Observer:
             return None
         self._newest = self._correction.propagated(
             self._newest or self._estimates[-1], self._track, self._track.newest_ns)
-        if not self.has_sensor:
-            self._estimates[0] = self._newest  # no measurement can change it
         return self._correction.with_noise_of_sample(self._newest)
 
     def covariance(self, stamp_ns: int) -> Array | None:
@@ -216,26 +215,41 @@ class Observer:
             return None
         return payload_of(self._estimates[-1], self.model)
 
+    @property
+    def smallest_slip(self) -> float:
+        """Smallest slip (m) that the next poses show as an alarm; NaN before the first pose."""
+        last = self._estimates[-1] if self._estimates else None
+        allowed = self._correction.false_per_hour
+        if last is None or last.evidence.seen is None or not allowed:
+            return math.nan
+        return alarms.smallest_slip(last.evidence.seen, allowed, last.memory[ekf.PERIOD])
+
     # ---------------------------------------------------------------- the tool
 
-    def start(self, stamp_ns: int, tool: State, body: State) -> None:
-        """Begin with a package at rest, or in a known motion."""
+    def start(self, stamp_ns: int, tool: State, body: State, settles: bool = False) -> None:
+        """Begin with a package at rest, or in a known motion; `settle` may follow."""
         self._track.begin(stamp_ns, tool, body)
         self._measurements.clear()
         self._estimates.clear()
-        self._newest = self._error_at = None
+        self._newest, self._error_at, self._waits = None, None, settles
         self._support.follow(stamp_ns, tool)
         self.body = body
 
     def settle(self, error_at: Callable[[int], Array]) -> None:
         """
-        Begin with an error of a start under a moving tool, unless poses have shown the package.
+        Begin with the swing of a start under a moving tool; measurements have waited for it.
 
         The function returns the standard deviations (12,) of the state at a stamp (ns).
         """
-        if not self._measurements:
-            self._estimates.clear()
-            self._newest, self._error_at = None, error_at
+        self._waits = False
+        self._begin_again(error_at)
+
+    def _begin_again(self, error_at: Callable[[int], Array] | None) -> None:
+        """Begin with another swing, see `settle`, and apply all measurements."""
+        self._estimates.clear()
+        self._newest, self._error_at = None, error_at
+        if self._measurements and self._begin_estimates():
+            self._reprocess(0, has_new=False)
 
     def _begin_estimates(self) -> bool:
         """Return whether there are estimates; they begin with the oldest sample when needed."""
@@ -243,10 +257,11 @@ class Observer:
             return bool(self._estimates)
         stamps, _, ends, bodies = self._track.rows
         stamp_ns = int(stamps[0])
-        std = ON_SUPPORT if self._support.at(stamp_ns) else (
-            self._error_at(stamp_ns) if self._error_at else None)
-        self._estimates.append(self._correction.start(stamp_ns, row_state(ends[0]), body_row(
-            bodies[0], self.body), self._known, std))
+        rests_on_support = self._support.at(stamp_ns) > 0
+        std = self._error_at(stamp_ns) if self._error_at else None
+        self._estimates.append(self._correction.start(
+            stamp_ns, row_state(ends[0]), body_row(bodies[0], self.body), self._known,
+            ON_SUPPORT if rests_on_support else std, rests_on_support))
         return True
 
     def follow(
@@ -334,20 +349,30 @@ class Observer:
             self._reprocess(at)
         return ''
 
-    def _reprocess(self, first: int) -> None:
-        """Apply a new measurement, and all later ones again."""
+    def _reprocess(self, first: int, has_new: bool = True) -> None:
+        """
+        Apply a measurement, which may be new, and all later ones again.
+
+        A swing at the start that early poses contradict is unknown.
+        """
+        if self._waits:
+            self.counts['used'] += self._measurements[first].is_pose
+            return
         estimates, measurements = self._estimates, self._measurements
         del estimates[first + 1:]
-        since_ns, again = measurements[first].stamp_ns, list[Alarm]()
-        if first < len(measurements) - 1:
+        since_ns, signals = measurements[first].stamp_ns, list[Alarm]()
+        if first < len(measurements) - 1 or not has_new:
             self.alarms[:] = [each for each in self.alarms if each.stamp_ns < since_ns]
-            again = [each for each in self._of_signals if each.stamp_ns >= since_ns]
+            signals = [each for each in self._of_signals if each.stamp_ns >= since_ns]
         for k in range(first, len(measurements)):
-            while again and again[0].stamp_ns < measurements[k].stamp_ns:
-                self._raise(again.pop(0))
-            self._apply(measurements[k], k > first)
-        for alarm in again:
+            while signals and signals[0].stamp_ns < measurements[k].stamp_ns:
+                self._raise(signals.pop(0))
+            self._apply(measurements[k], k > first or not has_new)
+        for alarm in signals:
             self._raise(alarm)
+        if self._error_at and estimates[-1].gated_ns and estimates[0].evidence.seen is None:
+            self._begin_again(None)
+            return
         last = self._correction.released(estimates[-1]) if self._has_left else estimates[-1]
         self._predict_from(last)
         self.body = self._correction.body_at_end(last, self._track)
@@ -388,7 +413,8 @@ class Observer:
         if stamp_ns <= self._estimates[0].stamp_ns:
             return 'late'
         self._watch_wrench(stamp_ns)
-        if self._estimates[-1].stamp_ns + BLOCK_NS <= stamp_ns <= newest_ns:
+        if not self._waits and (
+                self._estimates[-1].stamp_ns + BLOCK_NS <= stamp_ns <= newest_ns):
             self._measurements.append(Measurement(stamp_ns, *ORIGIN[:2], np.zeros((0, 0))))
             self._reprocess(len(self._measurements) - 1)
         return ''
@@ -549,5 +575,6 @@ def warm_up_observer(values: Values, model: ModelTuple) -> None:
     observer.update(Measurement(500_000, *observer.body[:2], np.eye(6)))
     observer.follow(1_000_000, ORIGIN, ORIGIN)
     observer.propagated_briefly(ORIGIN, ORIGIN, 1e-3)
+    observer._track.after(1)
     estimate = observer._estimates[-1]
     changed_by(observer.body, estimate.theta, np.zeros(len(estimate.covariance)))

@@ -24,18 +24,24 @@ class Evidence(NamedTuple):
     """Moving means of whitened innovations."""
     poses: int = 0
     """Number of poses since the start or an alarm."""
-    since_ns: int = 0
-    """Stamp of the last usual means, ns."""
+    usual: Estimate | None = None
+    """The last estimate with usual means, or the first; without its own evidence."""
     differing: int = 0
     """Number of successive poses in which a parameter differs."""
     seen: Corrected | None = None
     """The last measured pose."""
 
-    def after(self, seen: Corrected) -> Evidence:
-        """Return the evidence after another pose."""
-        since_ns = seen.stamp_ns if seen.means[2].max() <= USUAL else self.since_ns
-        return self._replace(means=seen.means, poses=self.poses + 1, seen=seen,
-                             since_ns=since_ns or seen.stamp_ns)
+    @property
+    def since_ns(self) -> int:
+        """Stamp of the last usual means, ns."""
+        return self.usual.stamp_ns if self.usual else 0
+
+    def after(self, seen: Corrected, estimate: Estimate) -> Evidence:
+        """Return the evidence after another pose and its estimate."""
+        is_usual = self.usual is None or seen.means[2].max() <= USUAL
+        return self._replace(
+            means=seen.means, poses=self.poses + 1, seen=seen,
+            usual=estimate._replace(evidence=Evidence()) if is_usual else self.usual)
 
 
 class Estimate(NamedTuple):
@@ -59,6 +65,8 @@ class Estimate(NamedTuple):
     reach; 0 for none, -1 after an assessment."""
     support: int = 0
     """Whether a support was `NEAR` or in `CONTACT`; 0 without."""
+    has_slipped: bool = False
+    """Whether poses have deviated since the grip."""
     wrench_memory: tuple[float, ...] = ()
     """Factors of the variances of force and moment, see `wrenches`; empty before the first."""
     outside: int = 0

@@ -308,7 +308,10 @@ class Cell:
                for name in ('mass', 'inertia', 'stiffness', 'damping')}
         com = self._direction(self.wrong.get('com', 0.0))
         if self.fault == 'mass':
-            off['mass'] += 0.1 * self.size
+            off['mass'] += 0.15 * self.size
+        if self.fault == 'worn':
+            off['stiffness'] -= 0.12 * self.size
+            off['damping'] -= 0.12 * self.size
         mass, inertia = 1.0 + off['mass'], 1.0 + off['inertia']
         return Package(
             mass * PACKAGE.mass, mass * inertia * PACKAGE.inertia, PACKAGE.com + com), Cup(
@@ -326,7 +329,7 @@ class Cell:
 
         def change(k, body, before):
             since = (k - self.first) * CELL_PERIOD_NS * 1e-9
-            if since < 0.0 or self.fault in ('', 'mass', 'camera', 'turn'):
+            if since < 0.0 or self.fault in ('', 'mass', 'worn', 'camera', 'turn'):
                 return body, before
             if self.fault == 'push':
                 is_pushed = k == self.first

@@ -2,26 +2,38 @@
 
 from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.observer import alarms, measurement
+from bellows_ros.core.observer.results import Evidence
 from bellows_ros.report.findings import text
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from .cases import Cell, CONDITIONS, EXACT
+from .cases import (
+    Cell,
+    CELL_PERIOD_NS,
+    CONDITIONS,
+    CUP,
+    EXACT,
+    observer,
+    PACKAGE,
+)
 
 EXACTLY = {**EXACT, 'payload__estimate': False}
+KNOWN = {'payload__estimate': True}
+"""As stated, mass and K to 1 %."""
 
 
 @pytest.mark.parametrize(('fault', 'kind', 'within', 'more'), [
     ('slip', 'deviates', 1.5, {}), ('turn', 'deviates', 0.3, {}), ('camera', 'deviates', 1.0, {}),
     ('push', 'deviates', 0.7, {}),
-    ('mass', 'differs', 4.0, {'payload__estimate': True})])
+    ('worn', 'differs', 12.0, KNOWN), ('mass', 'differs', 12.0, KNOWN)])
 def test_fault_raises_its_alarm(fault, kind, within, more):
     """Say so once it is there, not before, with numbers in the sentence."""
     for seed in (1, 2):
-        at = 0.0 if fault == 'mass' else 3.0
-        wrong, size = ({'mass': 0.03}, 4.0) if fault == 'mass' else ({}, 2.0)
-        cell = Cell(seed, at + 4.0, wrong, fault, at, size=size, **{**EXACTLY, **more})
+        at = 0.0 if kind == 'differs' else 3.0
+        wrong, size = ({'mass': 0.01, 'stiffness': 0.01}, 2.0) if kind == 'differs' else ({}, 2.0)
+        cell = Cell(seed, at + (12.0 if kind == 'differs' else 4.0), wrong, fault, at, size=size,
+                    **{**EXACTLY, **more})
         (found, after), *_ = cell.run()
         assert (found, 0.0 < after < within) == (kind, True)
         alarm = cell.made.alarms[0]
@@ -30,8 +42,56 @@ def test_fault_raises_its_alarm(fault, kind, within, more):
             assert 0.0 <= alarm.since_ns - cell.stamps[0] + 5e7 - 1e9 * at
             assert np.linalg.norm([*alarm.shift, *alarm.rotation]) > 1e-3
         if kind == 'differs':
-            assert alarm.parameter == 'package.mass'
-            assert alarm.value[0] == pytest.approx(cell.package.mass, rel=0.3)
+            ratio = cell.cup.stiffness[0, 0] * PACKAGE.mass / (
+                CUP.stiffness[0, 0] * cell.package.mass)
+            assert alarm.parameter == alarms.RATIO
+            assert abs(alarm.value[0] - ratio) < 4.0 * alarm.std[0] < 0.2
+            assert text(alarm.finding).startswith('The measured poses show K/m ')
+            assert 'a softer cup or a heavier package' in text(alarm.finding)
+
+
+@pytest.mark.parametrize('more', [
+    EXACT, {'measured__camera_std': [2e-3, 3e-3], 'measured__marker_std': [2e-3, 3e-3]}])
+def test_slip_of_the_stated_smallest_size_is_found(more):
+    """State the size before the slip, by the noise and by the errors of camera and marker."""
+    for seed in range(3):
+        sound = Cell(seed, 3.0, {}, **more)
+        assert sound.run() == []
+        cell = Cell(seed, 5.0, {}, 'slip', 3.0, size=sound.made.smallest_slip / 3e-3, **more)
+        assert cell.run()[0][0] == 'deviates'
+
+
+def test_parameters_are_unknown_again_after_a_slip():
+    """Predict 3 s after a slip of 6 mm to a millimetre, with the com where the lip now is."""
+    errors = []
+    for seed in range(3):
+        cell, of_cell = Cell(seed, 9.0, {}, 'slip', 3.0, size=2.0, **EXACT), []
+        cell.run(lambda k, cell=cell, of_cell=of_cell: of_cell.append(
+            np.linalg.norm(np.subtract(cell.made.body[0], cell.body[k][0]))))
+        assert [alarm.kind for alarm in cell.made.alarms] == ['deviates']
+        errors += of_cell[round(6e9 / CELL_PERIOD_NS):]
+    assert np.sqrt(np.mean(np.square(errors))) < 1.2e-3
+
+
+def test_only_poses_that_fit_name_a_parameter():
+    """Count no pose of another body, whose innovations are unusual."""
+    made, sizes = observer(alarm__false_per_hour=1.0), np.array([9.0, 0.0, 0.0, 0.0])
+    means, variances, squares = measurement.NO_MEANS
+    counts = []
+    for square, gated_ns in ((10.0, ()), (30.0, ()), (10.0, (1,))):
+        estimate = made._correction.initial._replace(gated_ns=gated_ns)
+        evidence = Evidence((means, variances, squares + square))
+        counts.append(made._correction._differing(
+            estimate, evidence, sizes)[0].evidence.differing)
+    assert counts == [1, 0, 0]
+
+
+def test_value_by_the_measurements_alone_is_that_without_a_prior():
+    """As two estimates of a number are fused by their variances."""
+    prior, own, shift = np.array([1e-4]), np.array([2e-4]), np.array([0.03])
+    variance = prior * own / (prior + own)
+    change, std = alarms.shown_alone(shift * variance / own, prior, variance)
+    np.testing.assert_allclose([change, std**2], [shift, own], rtol=1e-12)
 
 
 @pytest.mark.stress

@@ -4,12 +4,20 @@ from bellows_ros.core.geometry.tuples import quaternion_product
 from bellows_ros.core.live import LivePredictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_error, substeps_for
-from bellows_ros.core.model.kernels import advance
+from bellows_ros.core.model.kernels import advance, ORIGIN
 from bellows_ros.core.observer.dynamics import DIFFERENCE
 from bellows_ros.core.observer.filter import JITTER, SHARE
 from bellows_ros.core.observer.measurement import at_com
 from bellows_ros.core.observer.pose_sensor import MAX_VARIANCE
-from bellows_ros.core.observer.states import DAMPING, priors_of, SAME_PACKAGE, WRENCH
+from bellows_ros.core.observer.states import (
+    COM,
+    DAMPING,
+    MASS,
+    priors_of,
+    SAME_PACKAGE,
+    STIFFNESS,
+    WRENCH,
+)
 from bellows_ros.report.findings import text
 import numpy as np
 import pytest
@@ -101,6 +109,48 @@ def test_any_order_of_arrival_ends_with_the_same_estimate():
         ends.append(made)
     for end in ends[1:]:
         assert_same(end.estimate, ends[0].estimate)
+
+
+def test_delay_and_publishing_leave_the_estimate():
+    """Begin with the same uncertainty with a pose at once or 0.2 s late, published or not."""
+    stamps, tool, body, seen = scene(9, seconds=1.2)
+    ends = []
+    for delay, publishes in ((0, False), (50, False), (50, True), (0, True)):
+        live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
+        live.expect_twists(True)
+        for k, (stamp_ns, (position, q, linear, angular)) in enumerate(
+                zip(stamps.tolist(), tool, strict=True)):
+            live.on_twist(stamp_ns, linear, angular)
+            live.on_pose(stamp_ns, 'world', position, q)
+            if publishes:
+                live.covariance(stamp_ns)
+            if pose := seen.get(k - delay):
+                live.on_measured(int(stamps[k - delay]), 'world', *pose[:2])
+        made = live.package.observer
+        assert made.counts['late'] == 0
+        ends.append({each.stamp_ns: each for each in made._estimates})
+    last = max(set.intersection(*map(set, ends)))
+    for end in ends[1:]:
+        assert_same(end[last], ends[0][last])
+
+
+def test_start_errs_by_the_errors_of_the_parameters():
+    """Displace the equilibrium of a hanging package as other parameters do, with their rows."""
+    made, (body,) = observer(payload__estimate=True), truth([ORIGIN])
+    made.start(1, ORIGIN, body)
+    made.settle(lambda stamp_ns: np.full(12, 1e-9))
+    made._begin_estimates()
+    P, std = made._estimates[0].covariance, made._correction.prior
+    for row, by in ((COM, 1e-4), (COM + 1, 1e-4), (STIFFNESS + 2, 1e-3), (MASS, 1e-3)):
+        factor = np.exp(by) if row in (MASS, STIFFNESS + 2) else 1.0
+        stiffness = CUP.stiffness.copy()
+        stiffness[2, 2] *= factor if row == STIFFNESS + 2 else 1.0
+        m = factor if row == MASS else 1.0
+        com = PACKAGE.com + (by * np.eye(3)[row - COM] if COM <= row < COM + 3 else 0.0)
+        other = truth([ORIGIN], Package(m * PACKAGE.mass, m * PACKAGE.inertia, com),
+                      Cup(stiffness, CUP.damping, CUP.length))[0]
+        np.testing.assert_allclose(
+            P[:6, row] / std[row]**2, error_of(body, other)[:6] / by, rtol=0.02, atol=5e-4)
 
 
 def test_prediction_without_measured_poses_is_unchanged():
