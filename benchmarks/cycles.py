@@ -3,12 +3,16 @@ Count alarms and errors in pick-and-place cycles of cells that the package's for
 
     python -m benchmarks.cycles --hours 1        # ordinary work with each sensor
     python -m benchmarks.cycles --faults 30      # so many faults of each kind
+    python -m benchmarks.cycles --honesty 40     # published covariances in so many cells
 
 Cells are those of `test/core/observer/contact_cell.py`, and with `--sensor rig` those of an
 independent simulator (`benchmarks/rig_cells.py`). Each has its own errors and twelve cycles of
 different packages. Errors are RMS by phase of the cycle: with the camera, without, and of the
 newest pose of the camera alone; a cell counts as worse in a phase if its error with the camera
-exceeds that without by more than 5 %. `--seed` is the seed of the first cell.
+exceeds that without by more than 5 %. Honesty is the share of true positions and rotations within
+their published 50 and 95 % regions, with the smallest share of one cell, and the ratio of median
+errors with and without the camera, with the largest of one cell. `--seed` is the seed of the first
+cell.
 """
 
 import argparse
@@ -24,7 +28,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import hyp0f1
-from scipy.stats import ncx2, norm
+from scipy.stats import chi2, ncx2, norm
 
 from test.core.observer import contact_cell  # noqa: I100, I201
 from test.core.observer.contact_cell import ContactCell, DAMPING, LENGTH, STIFFNESS, WRONG
@@ -50,6 +54,10 @@ CUP_STD = {
 PHASES = 'lift', 'move', 'hold', 'lower', 'touch', 'set down'
 TOUCHING = 1.5e-3
 """Height above its rest from which a lowered package may touch the support, m."""
+PARTS = slice(6), slice(3), slice(3, 6)
+"""Entries of pose, position and rotation of an error."""
+REGIONS = 0.5, 0.95
+"""Probabilities of the published regions."""
 WORSE = 1.05
 """Smallest ratio of errors with and without a camera of a phase that counts as worse."""
 
@@ -66,7 +74,8 @@ class Outcome(NamedTuple):
     of_camera: np.ndarray
     """Errors (N, 6) of the newest measured pose; NaN without one in the cycle."""
     nees: np.ndarray
-    """Normalised squared errors of the poses; NaN without a covariance."""
+    """Normalised squared errors (N, 3) of pose, position and rotation; NaN without a
+    covariance."""
     seconds: float
 
     def by_phase(self, errors: np.ndarray) -> np.ndarray:
@@ -180,10 +189,10 @@ class Follower:
         e = np.r_[pose_error(prediction.body, *true)]
         of_camera = np.r_[pose_error((*self.newest, ZERO, ZERO), *true)] if (
             self.newest) else np.full(6, np.nan)
-        P = self.live.covariance(prediction.stamp_ns) if (
-            with_covariance and self.has_camera) else None
-        nees = np.nan if P is None else e @ np.linalg.solve(P[:6, :6], e)
-        self.rows.append((phase, *e, *of_camera, nees))
+        P = self.live.covariance(prediction.stamp_ns) if with_covariance else None
+        nees = [np.nan] * 3 if P is None else [
+            e[part] @ np.linalg.solve(P[part, part], e[part]) for part in PARTS]
+        self.rows.append((phase, *e, *of_camera, *nees))
 
 
 def followed(
@@ -193,7 +202,7 @@ def followed(
     """Return alarms and errors of the cycles of a cell, see `Follower`."""
     by = Follower(cycles, sensor, stated, has_camera, has_switch)
     rows = np.array(by.rows)
-    return Outcome(by.alarms, rows[:, 0].astype(int), rows[:, 1:7], rows[:, 7:13], rows[:, 13],
+    return Outcome(by.alarms, rows[:, 0].astype(int), rows[:, 1:7], rows[:, 7:13], rows[:, 13:],
                    1e-9 * (by.begin - START_NS))
 
 
@@ -211,7 +220,7 @@ def ordinary(sensor: str, cells: range, stated: bool) -> None:
         both, alone = (followed(cycles, sensor, stated, camera) for camera in (True, False))
         causes.update(alarm.kind for _, _, alarm in both.alarms)
         hours += both.seconds / 3600.0
-        nees.append(np.nanmean(both.of_lifted(both.nees)))
+        nees.append(np.nanmean(both.of_lifted(both.nees[:, 0])))
         means.append([both.by_phase(both.errors), alone.by_phase(alone.errors),
                       both.by_phase(both.of_camera)])
     squares = np.array(means)  # (cells, runs, phases, 2)
@@ -224,6 +233,41 @@ def ordinary(sensor: str, cells: range, stated: bool) -> None:
             '{:.2f} with, {:.2f} without, {:.1f} camera alone, worse in {} of {}'.format(
                 *rms[:, k, axis], worse[k, axis], len(cells)) + unit
             for axis, unit in enumerate((' (mm)', ' (mrad) |'))), flush=True)
+
+
+def honesty(sensor: str, cells: range, stated: bool) -> None:
+    """Print coverage of regions, and ratios of median errors, see the module."""
+    shares, ratios = [], []
+    for seed in cells:
+        cell = cell_of(seed, sensor)
+        cycles = [cell.cycle() for _ in range(CYCLES)]
+        runs = [followed(cycles, sensor, stated, camera) for camera in (True, False)]
+        shares.append([[coverage(run.nees[:, k]) for k in (1, 2)] for run in runs])
+        with_camera, without = (medians(run) for run in runs)
+        ratios.append(with_camera / without)
+    name = f'| {sensor} | {"stated" if stated else "default"} |'
+    mean, least = np.mean(shares, axis=0), np.min(shares, axis=0)  # (runs, parts, regions)
+    for run, what in enumerate(('with', 'without')):
+        print(name, f'{what} the camera |', ' | '.join(
+            f'{part} {mean[run, k, 0]:.2f} in 50 %, {mean[run, k, 1]:.2f} in 95 %, '
+            f'least {least[run, k, 1]:.2f}' for k, part in enumerate(('position', 'rotation'))),
+            '|', flush=True)
+    for phase, middle, largest in zip(
+            PHASES, np.nanmedian(ratios, axis=0), np.nanmax(ratios, axis=0), strict=True):
+        print(name, f'{phase} | ratio of position {middle[0]:.2f}, largest {largest[0]:.2f} | '
+              f'of rotation {middle[1]:.2f}, largest {largest[1]:.2f} |', flush=True)
+
+
+def coverage(nees: np.ndarray) -> list[float]:
+    """Return the shares of normalised squared errors (N,) of three axes within the regions."""
+    known = nees[np.isfinite(nees)]
+    return [float(np.mean(known <= bound)) for bound in chi2.ppf(REGIONS, 3)]
+
+
+def medians(run: Outcome) -> np.ndarray:
+    """Return median errors of position and rotation in each phase (phases, 2)."""
+    sizes = np.linalg.norm(run.errors.reshape(-1, 2, 3), axis=2)
+    return np.array([np.median(sizes[run.phases == k], axis=0) for k in range(len(PHASES))])
 
 
 FAULTS: dict[str, list[dict[str, Any]]] = {
@@ -313,6 +357,7 @@ def main() -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--hours', type=float, default=0.0, help='of ordinary work in each row')
     parser.add_argument('--faults', type=int, default=0, help='of each kind')
+    parser.add_argument('--honesty', type=int, default=0, help='in so many cells of each sensor')
     parser.add_argument('--kind', choices=FAULTS, help='of faults; default: all')
     parser.add_argument('--sensor', choices=CAMERAS, help='default: all; memory for faults')
     parser.add_argument('--seed', type=int, default=0, help='of the first cell')
@@ -321,6 +366,8 @@ def main() -> None:
     for sensor in ((given.sensor,) if given.sensor else CAMERAS) if given.hours else ():
         for stated in (False, True):
             ordinary(sensor, cells, stated)
+    for sensor in ((given.sensor,) if given.sensor else CAMERAS) if given.honesty else ():
+        honesty(sensor, range(given.seed, given.seed + given.honesty), True)
     for kind in ((given.kind,) if given.kind else FAULTS) if given.faults else ():
         for has_switch in (True, False) if kind.startswith('drop') else (True,):
             faults(kind, range(given.seed, given.seed + given.faults), given.sensor or 'memory',

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from test.core.observer.contact_cell import Cycle  # noqa: I100, I201
+from test.core.observer.contact_cell import CellCycle  # noqa: I100, I201
 
 SOURCE = Path(__file__).parents[2] / 'shared/cell/cycle_rig'
 EVERY = 2
@@ -56,7 +56,7 @@ class RigCell:
     def cycle(
         self, fault: str = '', at_event: str = 'hold', after: float = 0.1, size: float = 1.0,
         gradual: float = 0.0,
-    ) -> Cycle:
+    ) -> CellCycle:
         """Return a cycle with a fault, as `contact_cell.ContactCell.cycle` does."""
         rig, draw, g = world(), self._draw, self._rng
         path, t, stated, true = rig.cycle(draw, g)
@@ -91,7 +91,7 @@ class RigCell:
                        bump=lambda t, o, R: (o + np.outer(t > when, moved), R))
         tool, truth = self._told(times, E), np.hstack([
             Y[:, :3], Rotation.from_matrix(Y[:, 3:12].reshape(-1, 3, 3)).as_quat()])
-        return Cycle(
+        return CellCycle(
             times[::EVERY], tool[::EVERY], truth[::EVERY],
             [(stamp, arrival, o, q) for stamp, o, q, arrival in seen], _stated(stated, draw.sd),
             at)
