@@ -160,14 +160,16 @@ def print_plan(report: PlanReport, out: Any) -> None:
     where = f", in frame '{source.frame_id}'" if source.frame_id else ''
     out.line(f'Plan {source.path}', 'bold')
     out.line(f'({len(source.tool)} points, {source.duration:.3f} s{where})', 'dim')
-    out.table([('', *motions), *(
-        (label, *(_figure(motion, name, unit) for motion in motions.values()))
-        for name, (label, unit) in FIGURES.items()
-        if not all(math.isnan(motion.summary()[name]) for motion in motions.values()))])
-    if result.moves[1:]:
+    rows = [('', *motions)]
+    for name, (label, unit) in FIGURES.items():
+        if not all(math.isnan(motion.summary()[name]) for motion in motions.values()):
+            rows.append((label, *(_figure(motion, name, unit) for motion in motions.values())))
+    out.table(rows)
+    if len(result.moves) > 1:
         out.table([('move', 'from', 'to', 'least safety factor'), *(
-            (f'{number}', f'{begin:.2f} s', f'{end:.2f} s', f'{factor:.2f}')
-            for number, (begin, end, factor) in enumerate(result.moves, 1))], right=True)
+            (f'{number}', f'{move.begin:.2f} s', f'{move.end:.2f} s',
+             f'{move.smallest_safety_factor:.2f}')
+            for number, move in enumerate(result.moves, 1))], right=True)
     if report.used:
         out.table([('limit', 'used'), *(
             (name, f'{100.0 * part:.0f} %') for name, part in report.used.items())], right=True)
@@ -199,18 +201,19 @@ def print_toss(result: TossResult, out: Any) -> None:
         mode = 'its suction is blown off'
     else:
         mode = 'an assumed delay' if result.assumed else 'after the delay'
-    out.table([
+    failed = f'{lost} of {lost + len(result.scatter.errors)} drawn tosses fail' if lost else ''
+    rows = [
         ('valve', f'{case.switched:.4f} s', ''),
         ('lets go later by', quantity(toss.release_time - case.switched, 0.0, 'ms'),
          f'{mode}, at {math.hypot(*toss.release[2]):.2f} m/s'),
-        ('landing', f'{toss.landing_time:.4f} s',
-         f'{lost} of {lost + len(result.scatter.errors)} drawn tosses fail' if lost else ''),
-        *((f'at {axis}', quantity(x, error, 'm'), '')
-          for axis, x, error in zip('xy', toss.landing[0], std, strict=False)),
+        ('landing', f'{toss.landing_time:.4f} s', failed),
+        ('at x', quantity(toss.landing[0][0], std[0], 'm'), ''),
+        ('at y', quantity(toss.landing[0][1], std[1], 'm'), ''),
         ('turned by', f'± {math.degrees(float(np.linalg.norm(std[3:]))):.2g} deg', ''),
-        ('tumbling at', quantity(toss.tumbling, 0.0, 'deg/s'), ''),
-        *([('target away', quantity(aim.distance, 0.0, 'mm'), '')] if aim else ())],
-        title='Toss')
+        ('tumbling at', quantity(toss.tumbling, 0.0, 'deg/s'), '')]
+    if aim:
+        rows.append(('target away', quantity(aim.distance, 0.0, 'mm'), ''))
+    out.table(rows, title='Toss')
     _print_budget(result, out)
     out.warn(*result.warnings)
 

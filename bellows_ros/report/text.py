@@ -21,6 +21,7 @@ from .sentences import listed, many
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.validation import CornerScores
+    from bellows_ros.core.identification.verdict import Simulated
     from bellows_ros.workflows.identification import Identification
     from bellows_ros.workflows.replay import Observed, Replay
 
@@ -156,16 +157,7 @@ def print_identification(result: 'Identification', out: Any) -> None:
     out.line(f'({fit.method.replace("_", " ")}, {fit.structure})', 'dim')
     out.line()
     for simulated in verdict.simulated:
-        if np.isnan(simulated.rms).any():
-            out.paragraph(f'The free simulation of {simulated.bag} with this cup diverges.')
-            continue
-        factors, units = (DISPLAY_FACTORS, DISPLAY_UNITS) if len(simulated.axes) > 1 else (
-            np.array([1e3]), ('mrad',))
-        out.table([
-            ('', *(f'{axis} {unit}' for axis, unit in zip(simulated.axes, units, strict=True))),
-            *((name, *(f'{x:.3g}' for x in factors * values))
-              for name, values in (('error', simulated.rms), ('noise', simulated.noise)))],
-            right=True, title=f'Free simulation of {simulated.bag} with this cup (RMS):')
+        _print_simulated(simulated, out)
     if fit.converged:
         if result.refusals:
             out.line('K and P of the refused fit, for diagnosis only:')
@@ -174,6 +166,21 @@ def print_identification(result: 'Identification', out: Any) -> None:
     out.paragraph(f'{fit.samples_used} samples used{still}, {fit.samples_rejected} rejected.')
     out.paragraph(*result.notes)
     out.warn(*result.warnings)
+
+
+def _print_simulated(simulated: 'Simulated', out: Any) -> None:
+    """Print errors and noise of a free simulation, by axis or in the corners of a tag."""
+    if np.isnan(simulated.rms).any():
+        out.paragraph(f'The free simulation of {simulated.bag} with this cup diverges.')
+        return
+    factors, units = DISPLAY_FACTORS, list(DISPLAY_UNITS)
+    if len(simulated.axes) == 1:
+        factors, units = np.array([1e3]), ['mrad']
+    head = [f'{axis} {unit}' for axis, unit in zip(simulated.axes, units, strict=True)]
+    errors, noise = ([f'{x:.3g}' for x in factors * each]
+                     for each in (simulated.rms, simulated.noise))
+    out.table([('', *head), ('error', *errors), ('noise', *noise)], right=True,
+              title=f'Free simulation of {simulated.bag} with this cup (RMS):')
 
 
 def print_cup(fit: Fit, out: Any) -> None:
@@ -195,12 +202,13 @@ def print_cup(fit: Fit, out: Any) -> None:
         out.paragraph(TWO_ERRORS)
     out.paragraph(*(law_sentence(term, fit.law[name], fit.law_std[name])
                     for name, term in LAW.items() if any(fit.law[name])))
-    for _, name, matrix, _, std in matrices if structure.couples else ():
-        out.table([('', *AXES), *(
-            (axis, *('-' if math.isinf(error) else f'{value:.4g}'
-                     for value, error in zip(values, errors, strict=True)))
-            for axis, values, errors in zip(AXES, matrix.tolist(), std.tolist(), strict=True))],
-            right=True, title='{} in {}, {} and {}:'.format(name, *UNITS[name]))
+    if structure.couples:
+        for _, name, matrix, _, std in matrices:
+            numbers = np.where(np.isinf(std), np.nan, matrix)
+            entries = [[formatted(x, '.4g') for x in row] for row in numbers.tolist()]
+            out.table([('', *AXES), *((axis, *row) for axis, row in zip(
+                AXES, entries, strict=True))], right=True,
+                title='{} in {}, {} and {}:'.format(name, *UNITS[name]))
 
 
 def _percent(part: float) -> str:
@@ -229,12 +237,12 @@ def print_replay(result: 'Replay', out: Any) -> None:
     out.table(_error_rows(result), right=True)
     out.paragraph(LEGEND, style='dim')
     out.line()
-    validation = result.validation
-    out.paragraph(
-        text_of(validation.verdict(result.largest_nrmse)),
-        f'{validation.scores.samples} samples compared.',
-        *([text_of(result.margin.finding)] if result.margin else []),
-        *map(text_of, offset_findings([(result.bag, result.recording.report.time_offset)])))
+    validation, offset = result.validation, result.recording.report.time_offset
+    sentences = [text_of(validation.verdict(result.largest_nrmse)),
+                 f'{validation.scores.samples} samples compared.']
+    if result.margin:
+        sentences.append(text_of(result.margin.finding))
+    out.paragraph(*sentences, *map(text_of, offset_findings([(result.bag, offset)])))
     if result.live:
         counts = ', '.join(f'{count} {name}' for name, count in result.live.counts.items())
         out.paragraph(
@@ -247,18 +255,20 @@ def print_replay(result: 'Replay', out: Any) -> None:
 
 def _print_observed(observed: 'Observed', out: Any) -> None:
     """Print the gain by measured poses, and alarms; with a tag by its corners."""
-    unit, factor = corner_unit(*observed.corners.values())
-    rows = [(f'corners {unit}', *(formatted(each and each.rms, factor=factor)
-                                  for each in observed.corners.values())),
-            ('corners chi2', *(formatted(each and each.chi2)
-                               for each in observed.corners.values()))]
-    if not observed.corners:
+    if corners := observed.corners.values():
+        unit, factor = corner_unit(*corners)
+        rms = [each and each.rms for each in corners]
+        chi2 = [each and each.chi2 for each in corners]
+        rows = [('axis', *observed.corners),
+                (f'corners {unit}', *(formatted(each, factor=factor) for each in rms)),
+                ('corners chi2', *map(formatted, chi2))]
+    else:
         errors = [column((DISPLAY_FACTORS * estimate.scores.rms).tolist())
                   for estimate in observed.estimates.values()]
-        rows = [(f'{name:2} {DISPLAY_UNITS[i]}', *(rms[i] for rms in errors))
-                for i, name in enumerate(AXES)]
-    out.table([('axis', *(observed.corners or observed.estimates)), *rows], right=True,
-              title=f'With {observed.topic}, RMS error')
+        rows = [('axis', *observed.estimates)]
+        rows += [(f'{name:2} {unit}', *by_estimate) for name, unit, *by_estimate in zip(
+            AXES, DISPLAY_UNITS, *errors, strict=True)]
+    out.table(rows, right=True, title=f'With {observed.topic}, RMS error')
     out.paragraph(' '.join(map(text_of, observed.findings)))
     for line in observed.alarm_lines:
         out.warn(f'Alarm at {line}')
@@ -277,15 +287,17 @@ def _error_rows(result: 'Replay') -> list[tuple[str, ...]]:
     if corners := validation.corners:
         live_rms = live.corners.rms if live and live.corners else None
         unit, factor = corner_unit(corners)
-        return [*rows, (f'corners {unit}', *(formatted(error, factor=factor) for error in (
-            corners.rms, live_rms, corners.noise, corners.largest)), formatted(
-                corners.nrmse, '.1f', '%', 100.0))]
+        errors = [formatted(error, factor=factor) for error in (
+            corners.rms, live_rms, corners.noise, corners.largest)]
+        return [*rows, (f'corners {unit}', *errors, formatted(corners.nrmse, '.1f', '%', 100.0))]
     scores = validation.scores
-    errors = [
-        ('-',) * 6 if error is None else column((DISPLAY_FACTORS * error).tolist()) for error in (
-            scores.rms, live.scores.rms if live else None, validation.noise, scores.largest)]
+    rms, noise, largest = (column((DISPLAY_FACTORS * error).tolist())
+                           for error in (scores.rms, validation.noise, scores.largest))
+    live_errors = ['-'] * 6
+    if live:
+        live_errors = column((DISPLAY_FACTORS * live.scores.rms).tolist())
     for i, name in enumerate(AXES):
-        rows.append((
-            f'{name:2} {DISPLAY_UNITS[i]}', *(error[i] for error in errors),
-            formatted(scores.nrmse[i], '.1f', '%', 100.0) + ' *'[not validation.moves[i]]))
+        mark = ' ' if validation.moves[i] else '*'
+        rows.append((f'{name:2} {DISPLAY_UNITS[i]}', rms[i], live_errors[i], noise[i], largest[i],
+                     formatted(scores.nrmse[i], '.1f', '%', 100.0) + mark))
     return rows

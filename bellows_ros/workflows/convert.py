@@ -7,6 +7,7 @@ import re
 from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Mask
+from bellows_ros.core.signals.trajectory import NS_PER_S
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import bags, File, trajectory_files
 from bellows_ros.files.messages import POSE
@@ -17,6 +18,9 @@ MAX_REPEATED = 0.1
 """Largest share of lines with the time of the previous line that is treated as faults of single
 lines: a clock printed with too few digits repeats nearly all."""
 
+FIRST_DATE_NS = 86_400 * NS_PER_S
+"""Smallest stamp of a clock with a date, ns; a smaller stamp is a time since a start."""
+
 
 class Body(NamedTuple):
     """Topic, source, and number of written poses of a body; number of other rows by reason."""
@@ -25,6 +29,14 @@ class Body(NamedTuple):
     source: str
     poses: int
     left_out: dict[str, int]
+
+
+class BodyInFile(NamedTuple):
+    """A tracked body, its file, and the recording.world of its poses."""
+
+    body: TrackedBody
+    source: File
+    world: str
 
 
 class Conversion(NamedTuple):
@@ -63,39 +75,41 @@ def convert(
         output exists or cannot be written.
 
     """
-    worlds = ['motive_y_up' if trajectory_files.is_motive(source) else 'z_up'
-              for source in sources]
-    found = [(body, source, world) for source, world in zip(sources, worlds, strict=True)
-             for body in _bodies(Path(source), world)]
-    topics = [bags.absolute(name) for name in names] or [_topic(b.name) for b, *_ in found]
+    found = [each for source in sources for each in _bodies(source)]
+    topics = [bags.absolute(name) for name in names] or [_topic(each.body.name) for each in found]
     if not len(set(topics)) == len(topics) == len(found):
         raise BellowsError(
-            f'There are {len(found)} bodies ({", ".join(body.name for body, *_ in found)}), and '
+            f'There are {len(found)} bodies ({", ".join(each.body.name for each in found)}), and '
             f'the topics {", ".join(topics)}. Give a topic of its own for each, in this order.')
-    notes = [f"'{body.name}' of '{source}' was never tracked; its topic is empty."
-             for body, source, _ in found if not len(body.stamps_ns)]
-    # An earlier stamp is a time since a start.
-    notes += [f"'{source}' has no date: the stamps of '{body.name}' start near zero."
-              for body, source, _ in found if 0 < len(body.stamps_ns)
-              and body.stamps_ns[0] < 86400 * 10**9]
-    if not any(len(body.stamps_ns) for body, *_ in found):
+    tracked = [each for each in found if len(each.body.stamps_ns)]
+    if not tracked:
         raise BellowsError('No pose can be used: ' + '; '.join(
-            f"'{source}' ({body.name}): {body.left_out}" for body, source, _ in found)
+            f"'{each.source}' ({each.body.name}): {each.body.left_out}" for each in found)
             + '. Track the bodies again.')
-    bags.write_bag(out, [
-        bags.as_messages(topic, POSE, body.stamps_ns, body.values,
-                         'motive' if world == 'motive_y_up' else 'world')
-        for topic, (body, _, world) in zip(topics, found, strict=True)],
-        storage, replace=replace)
-    bodies = tuple(Body(topic, f'{source} ({body.name})', len(body.stamps_ns), body.left_out)
-                   for topic, (body, source, _) in zip(topics, found, strict=True))
-    return Conversion(os.fspath(out), bodies, min(worlds), tuple(notes))
+    notes = [f"'{each.body.name}' of '{each.source}' was never tracked; its topic is empty."
+             for each in found if not len(each.body.stamps_ns)]
+    notes += [f"'{each.source}' has no date: the stamps of '{each.body.name}' start near zero."
+              for each in tracked if each.body.stamps_ns[0] < FIRST_DATE_NS]
+    written, bodies = [], list[Body]()
+    for topic, (body, source, world) in zip(topics, found, strict=True):
+        frame = 'motive' if world == 'motive_y_up' else 'world'
+        written.append(bags.as_messages(topic, POSE, body.stamps_ns, body.values, frame))
+        bodies.append(Body(topic, f'{source} ({body.name})', len(body.stamps_ns), body.left_out))
+    bags.write_bag(out, written, storage, replace=replace)
+    return Conversion(
+        os.fspath(out), tuple(bodies), min(each.world for each in found), tuple(notes))
 
 
-def _bodies(source: Path, world: str) -> list[TrackedBody]:
-    """Return the bodies in a file, without poses that are not finite or repeat a time."""
-    if world == 'motive_y_up':
-        return trajectory_files.read_motive(source)
+def _bodies(source: File) -> list[BodyInFile]:
+    """Return the bodies in a file."""
+    if trajectory_files.is_motive(source):
+        return [BodyInFile(body, source, 'motive_y_up')
+                for body in trajectory_files.read_motive(Path(source))]
+    return [BodyInFile(_tum_body(Path(source)), source, 'z_up')]
+
+
+def _tum_body(source: Path) -> TrackedBody:
+    """Return the body in a TUM file, without poses that are not finite or repeat a time."""
     stamps, values = trajectory_files.read_tum(source)
     finite: Mask = np.asarray(np.isfinite(values).all(axis=1))
     stamps, values = stamps[finite], values[finite]
@@ -105,8 +119,8 @@ def _bodies(source: Path, world: str) -> list[TrackedBody]:
             f"'{source}': {np.sum(~new)} of {len(finite)} lines repeat the time before: times "
             'were written with too few digits (%g). Write all decimals, as %.9f does.')
     lost = {'not finite': int(np.sum(~finite)), 'repeated stamp': int(np.sum(~new))}
-    return [TrackedBody(source.stem, stamps[new], values[new],
-                        {reason: count for reason, count in lost.items() if count})]
+    return TrackedBody(source.stem, stamps[new], values[new],
+                       {reason: count for reason, count in lost.items() if count})
 
 
 def _topic(name: str) -> str:

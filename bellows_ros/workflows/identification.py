@@ -22,7 +22,7 @@ from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, parameter_files, results
-from bellows_ros.report.findings import entry
+from bellows_ros.report.findings import entry, warnings
 from bellows_ros.report.findings import text as text_of
 from bellows_ros.version import __version__
 from bellows_ros.workflows import CommandResult
@@ -206,20 +206,18 @@ class Identification(CommandResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings: about the input, the fit, the recordings."""
-        return (
-            *(text_of(Finding('left_out', Level.WARN, {
-                'part': f"Recording '{bag}'", 'reason': reason}))
-              for bag, reason in self.failed),
-            *self.assumed,
-            *self._fit_warnings(),
-            *(text_of(each) for each in self.findings if each.level > Level.OK),
-            *(self.static.warnings if self.static else ()),
-            *(text_of(own) for part in self.parts for own in part.remarks))
+        left_out = [Finding('left_out', Level.WARN, {
+            'part': f"Recording '{bag}'", 'reason': reason}) for bag, reason in self.failed]
+        of_static = self.static.warnings if self.static else ()
+        remarks = [remark for part in self.parts for remark in part.remarks]
+        return (*map(text_of, left_out), *self.assumed, *self._fit_warnings(),
+                *warnings(self.findings), *of_static, *map(text_of, remarks))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        recordings: list[ReducedRecording | Recording] = [
-            *self.parts, *(self.static.recordings if self.static else ())]
+        recordings: list[ReducedRecording | Recording] = [*self.parts]
+        if self.static:
+            recordings += self.static.recordings
         return results.plain_items({
             **fit_json(self.fit),
             'time_offsets': [offset.value for offset in self.estimates.delays],
@@ -251,30 +249,34 @@ class Identification(CommandResult):
     @property
     def refusals(self) -> tuple[str, ...]:
         """Reasons to reject the cup; empty for a usable one."""
-        doubts = self.verdict.refusals
-        return tuple(map(text_of, doubts if doubts or self.fit.usable else [Finding(
-            'unusable', Level.ERROR, {
-                'name': 'what the warnings name', 'why': (
-                    'this cup cannot hold a package' if self.fit.converged else
-                    'the search did not converge')})]))
+        reasons = self.verdict.refusals
+        if not (reasons or self.fit.usable):
+            why = ('this cup cannot hold a package' if self.fit.converged else
+                   'the search did not converge')
+            reasons = (Finding('unusable', Level.ERROR, {
+                'name': 'what the warnings name', 'why': why}),)
+        return tuple(map(text_of, reasons))
 
     def require_usable(self, force: bool = False) -> None:
         """Raise BellowsError for a rejected cup; with force, only for a cup unable to predict."""
-        if self.refusals and not (force and self.fit.usable):
-            more = () if self.fit.usable else (*self.assumed, *self._fit_warnings())
-            raise BellowsError(' '.join([
-                *map(text_of, self.verdict.cause), *self.refusals, *more]))
+        if not self.refusals or force and self.fit.usable:
+            return
+        sentences = [*map(text_of, self.verdict.cause), *self.refusals]
+        if not self.fit.usable:
+            sentences += [*self.assumed, *self._fit_warnings()]
+        raise BellowsError(' '.join(sentences))
 
     def header(self) -> list[str]:
         """Return the lines at the top of the cup file: the origin of its numbers."""
         fit = self.fit
+        is_unknown = np.isinf(np.diag(fit.covariance))
+        unknown = [label for label, each in zip(fit.labels, is_unknown, strict=True) if each]
         return [
             f'Identified by bellows_ros {__version__} from {", ".join(self.bags)}',
             f'{fit.method}, {fit.structure}; {fit.samples_used} samples used, '
             f'{fit.samples_rejected} rejected, condition number {fit.condition_number:.3g}.',
             *map(text_of, self.findings),
-            *(f'Not identifiable, as given: {label}.' for label, variance in zip(
-                fit.labels, np.diag(fit.covariance), strict=True) if np.isinf(variance)),
+            *(f'Not identifiable, as given: {label}.' for label in unknown),
             *(f'REFUSED, but written all the same: {reason}' for reason in self.refusals)]
 
 

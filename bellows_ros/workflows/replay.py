@@ -281,12 +281,14 @@ def replay(
     sent = _tool_messages(recording, values)
     live = _predicted_live(
         recording, values, lambda what, part: progress(what, 0.4 + 0.6 * part), sent, signals)
-    camera, more = _observed(
-        bag, recording, sent, live, values, observe, signals) if observe else (None, ())
+    findings, observed = [*free.findings], None
+    if cause:
+        findings.append(cause_finding(cause, values))
+    if observe:
+        observed, of_sensor = _observed(bag, recording, sent, live, values, observe, signals)
+        findings += of_sensor
     progress('done', 1.0)
-    return replace(
-        free, live=live, observed=camera, findings=(
-            *free.findings, *([cause_finding(cause, values)] if cause else []), *more))
+    return replace(free, live=live, observed=observed, findings=tuple(findings))
 
 
 def validated(values: Values, recording: Recording) -> Replay:

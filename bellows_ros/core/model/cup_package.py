@@ -363,9 +363,9 @@ def regressor(
     # The kernel's arithmetic also holds for tuples of arrays.
     sampled: Any = (tuple(position.T.copy()), tuple(rotation.reshape(-1, 9).T.copy()),
                     tuple(twist[:, :3].T.copy()), tuple(twist[:, 3:].T.copy()))
-    return np.stack([np.concatenate(kernels.cup_wrench((0.5 * length, length, K, P), *sampled)).T
-                     for K, P in (*((unit, zero) for unit in units),
-                                  *((zero, unit) for unit in units))], axis=2)
+    pairs = [(unit, zero) for unit in units] + [(zero, unit) for unit in units]  # K and P
+    wrenches = [kernels.cup_wrench((0.5 * length, length, K, P), *sampled) for K, P in pairs]
+    return np.stack([np.concatenate(wrench).T for wrench in wrenches], axis=2)
 
 
 def box_inertia(mass: float, depth: float, width: float, height: float) -> Array:

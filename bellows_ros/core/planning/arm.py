@@ -247,13 +247,15 @@ def _joint(element: ElementTree.Element, by_name: Mapping[str, ElementTree.Eleme
         raise _error(name, 'has an axis of zero length', 'a direction')
     pose = lie.transform(lie.rpy_rotation(_numbers(element, 'origin', 'rpy', '0 0 0')),
                          _numbers(element, 'origin', 'xyz', '0 0 0'))
-    bounded = kind != 'continuous' and limits.find('limit') is not None  # 0 by default, as in URDF
-    lower, upper = (number(limits, 'limit', key, 0.0) if bounded else end
-                    for key, end in (('lower', -math.inf), ('upper', math.inf)))
-    return Joint(name, kind, pose, axis / (length or 1.0), lower, upper,
-                 number(limits, 'limit', 'velocity', math.inf), drive,
-                 *(number(element, 'mimic', key, default) if drive else default
-                   for key, default in (('multiplier', 1.0), ('offset', 0.0))))
+    lower, upper, multiplier, offset = -math.inf, math.inf, 1.0, 0.0
+    if kind != 'continuous' and limits.find('limit') is not None:  # 0 by default, as in URDF
+        lower, upper = (number(limits, 'limit', key, 0.0) for key in ('lower', 'upper'))
+    if drive:
+        multiplier = number(element, 'mimic', 'multiplier', multiplier)
+        offset = number(element, 'mimic', 'offset', offset)
+    velocity = number(limits, 'limit', 'velocity', math.inf)
+    return Joint(name, kind, pose, axis / (length or 1.0), lower, upper, velocity, drive,
+                 multiplier, offset)
 
 
 def _numbers(

@@ -120,8 +120,10 @@ class PlanPrediction(NamedTuple):
 
     def outside(self, valid: Envelope | None, mass: float, vacuum: float) -> tuple[str, ...]:
         """Return a phrase for each validity range that the plan, mass or vacuum exceeds."""
-        return () if valid is None else distance(valid, *(
-            [*deflection, *self.rates, mass, vacuum] for deflection in self.deflection.T)).outside
+        if valid is None:
+            return ()
+        low, high = ([*deflection, *self.rates, mass, vacuum] for deflection in self.deflection.T)
+        return distance(valid, low, high).outside
 
 
 class PlanSimulation:

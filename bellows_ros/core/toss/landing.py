@@ -118,18 +118,25 @@ def scatter(case: TossProblem, nominal: Toss, count: int = DRAWS, seed: int = 0)
         raise NoLandingError(
             f'Of {count} tosses with drawn parameters only {len(errors)} land; expected half or '
             'more. Lower the standard deviations of package, cup and release.*, or drive slower.')
-    used, still = np.flatnonzero(case.factor.any(axis=0)), np.zeros(6)
+    names, parts, unchanged = list[str](), list[Array](), np.zeros(6)
+    for name, up, down in cup_package.perturbed(case.uncertain, held.model):
+        names.append(name)
+        parts.append(_half_difference(miss(up, unchanged), miss(down, unchanged))
+                     / cup_package.PERTURBATION)
+    used = np.flatnonzero(case.factor.any(axis=0))  # numbers of the law with a std
     is_diagonal = np.array_equal(case.factor, np.diag(np.diag(case.factor)))
+    for k, one in zip(used, np.eye(6)[used], strict=True):
+        names.append(RELEASE_NAMES[k] if is_diagonal else 'release')
+        parts.append(_half_difference(miss(held.model, one), miss(held.model, -one)))
     law_std = np.diag(case.factor) if is_diagonal else np.full(6, np.nan)
-    pairs = {name: (1.0 / cup_package.PERTURBATION, (up, still), (down, still))
-             for name, up, down in cup_package.perturbed(case.uncertain, held.model)}
-    of_law = [(1.0, (held.model, one), (held.model, -one)) for one in np.eye(6)[used]]
-    parts = [scale * np.nanmean([miss(*more), -miss(*less)], axis=0)  # of one side, if one fails
-             for scale, more, less in (*pairs.values(), *of_law)]
     return Scatter(
-        errors, count - len(errors),
-        (*pairs, *(RELEASE_NAMES[k] if is_diagonal else 'release' for k in used)),
+        errors, count - len(errors), tuple(names),
         np.append(std[std != 0.0], law_std[used]), np.reshape(parts, (-1, 6)))
+
+
+def _half_difference(above: Array, below: Array) -> Array:
+    """Return half the difference of two deviations (6,); of one alone if the other is NaN."""
+    return np.asarray(np.nanmean([above, -below], axis=0))
 
 
 def ellipse(covariance: Array, count: int) -> Array:
