@@ -43,18 +43,18 @@ def signals_of(bag: File, values: Values) -> list[Signal]:
     kind, usual = SIGNALS[signal]
     name = values.topics.vacuum or usual
     for topic, log_ns, message in bags.messages_of(bag, {kind, messages.BOOL}):
-        if topic.endswith('/vacuum/valve') and hasattr(message, 'data'):
+        is_bool = hasattr(message, 'data')
+        if is_bool and topic.endswith('/vacuum/valve'):
             signals.append((log_ns, 'valve', bool(message.data), ALL))
-        if hasattr(message, 'data') == (signal != 'bool') or not is_named(topic, name):
+        if is_bool != (signal == 'bool') or not is_named(topic, name):
             continue
-        if signal == 'bool':
+        if is_bool:
             signals.append((log_ns, 'vacuum', bool(message.data), ALL))
             continue
-        stamp = message.header.stamp
+        stamp_ns = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
         states = vacuum.update(values, message.fluid_pressure, message.header.frame_id)
-        signals += [] if isinstance(states, str) else [
-            (stamp.sec * NS_PER_S + stamp.nanosec or log_ns, 'vacuum', *state)
-            for state in states]
+        if not isinstance(states, str):  # the reason for a rejected message
+            signals += [(stamp_ns or log_ns, 'vacuum', *state) for state in states]
     if not any(each[1] == 'vacuum' for each in signals):
         there = ', '.join(t.name for t in bags.topics(bag) if t.type_name == kind and t.messages)
         raise BellowsError(

@@ -282,15 +282,14 @@ def _both_bodies(
     separate = None if is_wrong else _why_separate(pair, tool, package)
     more: list[Finding] = [separate] if separate else []
     if separate:
+        of_tag = sensor_findings(package, package.corners is not None)
+        free = ('time_offset', 'package_marker', 'scale') if of_tag else (
+            'time_offset', 'package_marker')
         settings |= {
             'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
-            'recording.package_frame': 'com'}
-        of_tag = sensor_findings(package, package.corners is not None)
+            'recording.package_frame': 'com', 'fit.free': free}
         found += of_tag
-        settings['fit.free'] = ('time_offset', 'package_marker')
-        if of_tag:
-            settings['fit.free'] += ('scale',)
-        more.append(Finding('freed', Level.OK, {'names': settings['fit.free']}))
+        more.append(Finding('freed', Level.OK, {'names': free}))
     elif pair:
         settings['recording.world'] = pair.world
     if pair:

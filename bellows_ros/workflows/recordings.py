@@ -346,28 +346,32 @@ def values_of_each(values: Values, at_rest: bool = False) -> list[Values]:
         If the numbers of files and recordings differ, or a parameter is missing for a recording.
 
     """
-    files, count = values.package.files, len(values.bags)
-    bags = (*values.bags, *values.static.bags)
-    if files and len(files) != len(bags):
+    files, count = values.package.files, len(values.bags) + len(values.static.bags)
+    if files and len(files) != count:
         raise BellowsError(
-            f'package.files has {len(files)} files for {len(bags)} recordings. Name one for each '
+            f'package.files has {len(files)} files for {count} recordings. Name one for each '
             'recording in bags, then for each in static.bags, or none.')
-    chosen = slice(count, None) if at_rest else slice(count)
+    bags, files = values.bags, files[:len(values.bags)]
     if at_rest:
+        bags, files = values.static.bags, values.package.files[len(values.bags):]
         values = Values({'package.inertia': NO_INERTIA, **values})
-    each: list[Values] = [
-        values.replaced({
-            name: value for name, value in parameter_files.read_parameters(file).items()
-            if name in checks.PACKAGE_PARAMETERS or name.startswith(
-                ('topics.', 'recording.', 'tool_twist.', 'gravity.direction'))})
-        for file in files[chosen]] or [values for _ in bags[chosen]]
-    for bag, parameters in zip(bags[chosen], each, strict=True):
+    each = [values for _ in bags]
+    if files:
+        each = [values.replaced(_of_recording(file)) for file in files]
+    for bag, parameters in zip(bags, each, strict=True):
         missing = [name for name in checks.RECORDING_PARAMETERS if name not in parameters]
         if missing:
             raise BellowsError(
                 f"For '{bag}' these are not set: {', '.join(missing)}. Set them, or name a "
                 'parameter file for each recording in package.files.')
     return each
+
+
+def _of_recording(file: File) -> dict[str, Any]:
+    """Return the parameters of a recording and its package in a file of package.files."""
+    return {name: value for name, value in parameter_files.read_parameters(file).items()
+            if name in checks.PACKAGE_PARAMETERS or name.startswith(
+                ('topics.', 'recording.', 'tool_twist.', 'gravity.direction'))}
 
 
 def prepare_settings(values: Values) -> PrepareSettings:

@@ -149,8 +149,7 @@ class FitVerdict(NamedTuple):
     @property
     def wrong(self) -> list[Cause]:
         """The likeliest cause, if the cup is wrong without it."""
-        likely = [each for each in self.causing if each.name != 'unknown']
-        return [each for each in likely[:1] if each.material]
+        return [each for each in self._likely[:1] if each.material]
 
     @property
     def contradicted(self) -> list[Finding]:
@@ -191,20 +190,34 @@ class FitVerdict(NamedTuple):
             return self.faults
         if not self.causing:
             return ()
-        first, *_ = said = [cause_finding(each, self.given) for each in self.causing]
+        first = cause_finding(self.causing[0], self.given)
         if self.causing[0].certain:
             return (first,)
-        likely = [each for each in self.causing if each.name != 'unknown']
-        is_sound = not self.contradicted and not self.wrong and (
-            self.is_at_noise or self.simulated and not self.refusals and not (
-                likely and likely[0].share >= MAJORITY or self._is_misfit))
-        if is_sound:
+        if self._is_sound:
             return ()
-        found = self.sensor or tuple(own for own in said[:1] if own.code == 'unknown_cause')
-        if not likely:
+        found = self.sensor
+        if not found and self.causing[0].name == 'unknown':
+            found = (first,)
+        if not self._likely:
             return found
-        named = tuple(own for own in said if own.code != 'unknown_cause')
+        named = tuple(cause_finding(each, self.given) for each in self._likely)
         return (*found, Finding('likeliest', Level.WARN, {'causes': named}))
+
+    @property
+    def _likely(self) -> list[Cause]:
+        """Causes with a name, the likeliest first."""
+        return [each for each in self.causing if each.name != 'unknown']
+
+    @property
+    def _is_sound(self) -> bool:
+        """Whether uncertain causes are not worth a sentence: the cup predicts its recordings."""
+        if self.contradicted or self.wrong:
+            return False
+        if self.is_at_noise:
+            return True
+        has_major_cause = bool(self._likely) and self._likely[0].share >= MAJORITY
+        is_accepted = bool(self.simulated) and not self.refusals
+        return is_accepted and not has_major_cause and not self._is_misfit
 
     @property
     def refusals(self) -> tuple[Finding, ...]:
@@ -244,30 +257,36 @@ def verdict_of(
     if not (tested := recordings[:MAX_TESTED]):
         return UNTESTED
     remarks = [remark for recording in tested for remark in recording.report.remarks]
-    package, ratio, grown = tested[0].payload, 0.0, fit.nuisances.get('length', np.zeros((1, 1)))
+    package, length_change = tested[0].payload, fit.nuisances.get('length', np.zeros((1, 1)))
     given = values.replaced({
         'package.mass': package.mass, 'package.com': package.com,
         'package.inertia': np.diag(package.inertia)})
-    if 'inertia' in fit.nuisances and not {'mass', 'inertia'} & {*fit.named}:
-        ratio = float(  # one of the three moments may be uncertain
-            np.median(fit.nuisances['inertia']) - np.mean(fit.nuisances.get('mass', 0.0)))
-    ratings, simulations = _all_simulated(fit, tested, length + float(grown[0, 0]), given)
+    ratings, simulations = _all_simulated(fit, tested, length + float(length_change[0, 0]), given)
     verdict = FitVerdict(
         tuple(ratings) if fit.usable else (), (), given, simulations=tuple(simulations),
         faults=tuple(remark for remark in remarks if remark.level == Level.ERROR),
         sensor=tuple(remark for remark in remarks if remark.code == 'sensor')[:1],
-        log_inertia_ratio=ratio,
+        log_inertia_ratio=_log_inertia_ratio(fit),
         changes=_changes(fit, values))
     if verdict.faults:
         return verdict
     if fit.method != 'output_error':
-        if verdict.simulated and all(
-                (each.rms <= MAX_SOUND_RATIO * each.noise).all() for each in verdict.simulated):
+        are_sound = [(each.rms <= MAX_SOUND_RATIO * each.noise).all()
+                     for each in verdict.simulated]
+        if are_sound and all(are_sound):
             return verdict  # its causes would not be described
         fit = fitting.fitted(tested, values.replaced({
             'cup.length': length, 'fit.method': 'output_error'}), exactly=True)
     excess = max(fit.chi2 or 1.0, fit.robust_chi2 or 1.0) - 1.0
     return verdict._replace(excess=excess, causing=fit.causes)
+
+
+def _log_inertia_ratio(fit: Fit) -> float:
+    """Return `FitVerdict.log_inertia_ratio`; 0 if mass or inertia are requested."""
+    if 'inertia' not in fit.nuisances or {'mass', 'inertia'} & {*fit.named}:
+        return 0.0
+    inertia = np.median(fit.nuisances['inertia'])  # one of the three moments may be uncertain
+    return float(inertia - np.mean(fit.nuisances.get('mass', 0.0)))
 
 
 def _all_simulated(
@@ -311,9 +330,11 @@ def off_given(change: Change, level: Level) -> Finding:
 def _changes(fit: Fit, values: Values) -> tuple[Change, ...]:
     """Return `FitVerdict.changes` of a converged fit."""
     found, given = list[Change](), given_std(values)
+    if not fit.converged:
+        return ()
+    estimated = given.keys() & fit.nuisances.keys() - {*fit.named}
     for name, (parameter, std, off) in CHANGED.items():
-        if not fit.converged or name not in given or name not in fit.nuisances or (
-                name in fit.named):
+        if name not in estimated:
             continue
         sizes, errors = np.abs(fit.nuisances[name]), fit.nuisances_std[name]
         if np.any(sizes > SIGMAS * errors):

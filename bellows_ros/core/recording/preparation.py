@@ -9,6 +9,7 @@ interpolated at the package's stamps. The report lists all omitted data.
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import NamedTuple
 
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Stamps
@@ -77,35 +78,35 @@ def prepare(
         do not begin at rest although required, or no valid sample remains.
 
     """
-    of_tool, _, tool_poses = _clean(tool, settings.R_world_recorded)
-    of_package, tracked, package_poses = _clean(
-        package, settings.R_world_recorded, settings.tag is not None)
-    if tool_twist is not None and of_tool.arrival_jitter:
+    is_tag = settings.tag is not None
+    clean_tool = _clean(tool, settings.R_world_recorded)
+    clean_package = _clean(package, settings.R_world_recorded, is_tag)
+    if tool_twist is not None and clean_tool.report.arrival_jitter:
         tool_twist = replace(tool_twist, stamps_ns=_shifted_alike(
-            tool_twist.stamps_ns, tool.stamps_ns, of_tool.recorded.stamps_ns))
-    tool, package = of_tool.recorded, of_package.recorded
+            tool_twist.stamps_ns, tool.stamps_ns, clean_tool.report.recorded.stamps_ns))
+    tool, package = clean_tool.report.recorded, clean_package.report.recorded
+    tool_poses, package_poses = clean_tool.uniform, clean_package.uniform
     _common(tool_poses.stamps_ns, package_poses.stamps_ns, (tool, package))
     as_they_are = not settings.align_at_rest and alignment is None
     alignment = alignment or _alignment(tool_poses, package_poses, settings)
-    aligned = alignment.tool(tool_poses), alignment.package(package_poses)
-    filters = (
-        _filter(aligned[0], settings.tool_half_window, settings.tool_order, tool.name),
-        _filter(aligned[1], settings.package_half_window, settings.package_order, package.name))
-    of_tool, of_package = (
-        replace(report, overlapping_gap=int(np.count_nonzero(
-            of_body.poses.between(*of_body.stamps_ns[[0, -1]]).valid & ~of_body.whole)),
-            interpolated=int(np.count_nonzero(of_body.poses.valid & ~poses.valid)))
-        for report, of_body, poses in zip((of_tool, of_package), filters, aligned, strict=True))
-    remarks = [*remarks_on(of_tool), *remarks_on(of_package)]
+    aligned_tool = alignment.tool(tool_poses)
+    aligned_package = alignment.package(package_poses)
+    of_tool = _filter(
+        aligned_tool, settings.tool_half_window, settings.tool_order, tool.name)
+    of_package = _filter(
+        aligned_package, settings.package_half_window, settings.package_order, package.name)
+    tool_report = _with_filter(clean_tool.report, of_tool, aligned_tool)
+    package_report = _with_filter(clean_package.report, of_package, aligned_package)
+    remarks = [*remarks_on(tool_report), *remarks_on(package_report)]
     if as_they_are:
         remarks += rest_of(tool_poses, package_poses).remarks
-    report = RecordingReport(
-        of_tool, of_package, (*remarks, *_alignment_remarks(alignment, settings)))
+    remarks += _alignment_remarks(alignment, settings)
+    tracked = aligned_package
+    if is_tag or not package_report.timing.uniform:
+        tracked = alignment.package(clean_package.marked)
     return _joined(Recording(
-        settings, tool, package, tool_twist, filters, *aligned,
-        aligned[1] if of_package.timing.uniform and settings.tag is None else (
-            alignment.package(tracked)),
-        alignment, report))
+        settings, tool, package, tool_twist, (of_tool, of_package), aligned_tool, aligned_package,
+        tracked, alignment, RecordingReport(tool_report, package_report, tuple(remarks))))
 
 
 def with_tool_earlier(recording: Recording, seconds: float) -> Recording:
@@ -158,22 +159,32 @@ def _alignment(
     return aligned_at_rest(tool, package, settings.package_frame, settings.payload.com)
 
 
+class CleanPoses(NamedTuple):
+    """Faults of a topic, and its poses in the world with marked outliers: recorded, uniform."""
+
+    report: StreamReport
+    marked: Trajectory
+    uniform: Trajectory
+
+
 def _clean(
     recorded: PoseStream, R_world_recorded: Array, is_tag: bool = False
-) -> tuple[StreamReport, Trajectory, Trajectory]:
-    """Return the faults of a topic, and its marked poses in the world, recorded and uniform."""
+) -> CleanPoses:
+    """Return the poses of a topic in the world; those of a tag without a search for outliers."""
     with _naming(recorded.name):
         recorded, jitter_s = resampling.at_sampling(recorded)
         poses = in_world(recorded.trajectory(), R_world_recorded)
         timing = resampling.timing(poses.stamps_ns)
-        outliers = find_outliers(poses, timing.longest_step_ns) if not is_tag else (
-            Outliers(np.full(len(poses), True), ()))  # the fit weights the errors of a tag
+        if is_tag:  # the fit weights the errors of a tag
+            outliers = Outliers(np.full(len(poses), True), ())
+        else:
+            outliers = find_outliers(poses, timing.longest_step_ns)
         marked = replace(poses, valid=outliers.good)
         good = np.flatnonzero(outliers.good)  # poses outside the recording's time are ignored
         if len(good) > 2:
             marked = marked.select(slice(good[0], good[-1] + 1))
-        return (StreamReport(recorded, timing, outliers, arrival_jitter=jitter_s), marked,
-                resampling.on_grid(marked, timing))
+        report = StreamReport(recorded, timing, outliers, arrival_jitter=jitter_s)
+        return CleanPoses(report, marked, resampling.on_grid(marked, timing))
 
 
 @contextmanager
@@ -194,6 +205,14 @@ def _filter(poses: Trajectory, half_window: int, order: int, name: str) -> Filte
         half_window = max(round(AUTOMATIC_HALF_WINDOW * rate_hz), (order + 1) // 2 + 1)
     with _naming(name):
         return Filter(poses, half_window, order, weights_for(poses, half_window, order))
+
+
+def _with_filter(report: StreamReport, of_body: Filter, aligned: Trajectory) -> StreamReport:
+    """Return a report with the numbers of samples by gaps and of interpolated ones of a filter."""
+    filtered = of_body.poses.between(*of_body.stamps_ns[[0, -1]])
+    return replace(
+        report, overlapping_gap=int(np.count_nonzero(filtered.valid & ~of_body.whole)),
+        interpolated=int(np.count_nonzero(of_body.poses.valid & ~aligned.valid)))
 
 
 def _common(tool: Stamps, package: Stamps, recorded: tuple[PoseStream, PoseStream]) -> Stamps:
