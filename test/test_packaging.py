@@ -209,5 +209,7 @@ def test_layouts_show_topics_of_the_predictor(name, root):
     shown = topics_of(content)
     nodes = ''.join(path.read_text() for path in (root / 'bellows_ros' / 'nodes').glob('*.py'))
     assert {'/tool_arm/pose', '/package/pose', '/package/measured', '/package/plan_path',
-            } <= shown
+            '/package/odometry'} <= shown
+    assert name.endswith('.rviz') or '/package/ok' in shown  # RViz shows no Bool
+    assert 'base' in text or '"followTf"' not in text  # no frame that a robot may lack
     assert [topic for topic in shown if f"'{topic[1:]}'" not in nodes] == []

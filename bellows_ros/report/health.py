@@ -206,7 +206,7 @@ def prediction_finding(
     for code, applies, level in (
             ('no_equilibrium', restarts.get('no_equilibrium'), Level.ERROR),
             ('failed', restarts.get('failure'), Level.ERROR),
-            ('no_poses', phase == 'lost', Level.ERROR), ('tool_z', above, Level.ERROR),
+            ('no_poses', phase == 'interrupted', Level.ERROR), ('tool_z', above, Level.ERROR),
             ('restarted', any(restarts.values()), Level.WARN),
             ('no_poses', phase == 'coasting', Level.WARN),
             ('twists', not twists_fit, Level.WARN),

@@ -55,7 +55,7 @@ def test_nobody_silent_and_good(listener, partner):
         assert 0.0 < ages[0] <= ages[1] <= ages[2] and ages[0] < 1.0
         assert listener.sees('prediction', OK, 'Predicting')
         assert float(listener.value('prediction', 'compute time p99 (us)')) > 0.0
-    assert listener.sees('prediction', ERROR, 'Lost')
+    assert listener.sees('prediction', ERROR, 'Interrupted')
     assert listener.sees('load', OK, 'safety factor of the grip is unknown')
     partner.node.destroy_publisher(partner.pose_writer)
     assert listener.sees('tool pose', ERROR, 'of 0 publishers')

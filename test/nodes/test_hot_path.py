@@ -90,7 +90,7 @@ def send(count):
         partner.wait_for_poses(sent)
 
 def pause():
-    partner.wait(lambda: predictor.pipeline.outputs._last_state == 'lost')
+    partner.wait(lambda: predictor.pipeline.outputs._last_state == 'interrupted')
 
 def signatures():
     kernels = {}

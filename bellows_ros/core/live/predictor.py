@@ -303,8 +303,8 @@ class LivePredictor:
         Return the phase of the prediction at a time on the clock of arrivals.
 
         The phase is 'detached', 'waiting' (before the first pose), 'predicting', 'settling'
-        (predicting with a remaining initial error), 'coasting' (a short gap of poses) or 'lost' (a
-        longer gap, or no prediction).
+        (predicting with a remaining initial error), 'coasting' (a short gap of poses) or
+        'interrupted' (a longer gap, or no prediction).
         """
         if not self.attached:
             return 'detached'
@@ -312,9 +312,9 @@ class LivePredictor:
         if self.screen.arrival_ns is None and not has_package:
             return 'waiting'
         if silent_ns := self.screen.silent_ns(arrival_ns):
-            return 'coasting' if silent_ns <= self.coast_limit_ns else 'lost'
+            return 'coasting' if silent_ns <= self.coast_limit_ns else 'interrupted'
         if not has_package:
-            return 'lost'
+            return 'interrupted'
         return 'settling' if self.package.is_settling else 'predicting'
 
     # ---------------------------------------------------------------- control
