@@ -198,7 +198,7 @@ def info(arguments: Any, console: 'Console') -> CommandOutcome:
     if missing := {'topics.tool_pose', 'topics.package_pose'} - result.settings.keys():
         words = ['bellows', *click.get_current_context().obj, '--force', '--set', 'NAME=VALUE']
         return CommandOutcome(show, result, (
-            f'The file lacks {" and ".join(sorted(missing))}. With what is to do, write it again:',
+            f'The file lacks {" and ".join(sorted(missing))}. Set them, and write the file again:',
             f'  {shlex.join(words)}'))
     cell = ' --out-cell cell.yaml' if 'recording.package_world' in result.settings else ''
     return CommandOutcome(show, result, (

@@ -47,8 +47,10 @@ STYLE: Mapping[Any, Any] = {
 ENDINGS = ('.png', '.svg', '.pdf', '.gif')
 FRAME_RATE = 12.0
 """Frames of an animation per second."""
-SHORTEST, LONGEST = 6.0, 20.0
-"""Durations of an animation, s: shorter motions are slowed down, longer ones are cut."""
+SHORTEST = 6.0
+"""Shortest animation, s: shorter motions are slowed down."""
+LONGEST = 20.0
+"""Longest animation, s: longer motions are cut."""
 MIN_SPAN = np.repeat([2.0, 0.1], 3)
 """Smallest range of an axis with measured coordinates, mm and degrees: the noise of cameras."""
 DRAWN_SECONDS = 5.0

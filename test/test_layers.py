@@ -5,25 +5,25 @@ from functools import cache
 import re
 import sys
 
-SENTENCES = 'sentences'
-"""Modules of `report` that stand below `workflows`, and make sentences of their findings."""
+FINDINGS = 'findings'
+"""Module of `report` below `workflows`, which makes sentences of their findings."""
 
 # What each room may import of this package beside itself and what all may use.
 ALLOWED = {
     '': {'library'},
     'errors': set(),
     'exits': {'core', 'report'},
-    SENTENCES: {'core'},
+    FINDINGS: {'core'},
     'version': set(),
     'library': {'core', 'files', 'workflows', 'plots'},
     'core': set(),
     'files': {'core'},
-    'workflows': {'core', 'files', SENTENCES},
-    'nodes': {'core', 'files', 'workflows', 'report', SENTENCES},
-    'plots': {'core', 'files', 'workflows', SENTENCES},
-    'report': {'core', 'files', 'workflows', 'plots', SENTENCES},
-    'cli': {'core', 'exits', 'files', 'workflows', 'plots', 'report', 'nodes', SENTENCES},
-    'demo': {'core', 'exits', 'files', 'workflows', 'nodes', 'plots', 'report', SENTENCES},
+    'workflows': {'core', 'files', FINDINGS},
+    'nodes': {'core', 'files', 'workflows', 'report', FINDINGS},
+    'plots': {'core', 'files', 'workflows', FINDINGS},
+    'report': {'core', 'files', 'workflows', 'plots', FINDINGS},
+    'cli': {'core', 'exits', 'files', 'workflows', 'plots', 'report', 'nodes', FINDINGS},
+    'demo': {'core', 'exits', 'files', 'workflows', 'nodes', 'plots', 'report', FINDINGS},
 }
 FOR_ALL = {'errors', 'version'}
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'builtin_interfaces', 'launch',
@@ -65,8 +65,7 @@ def room_of(file, root):
 def room_named(name):
     """Return the room in which an imported name of the package stands."""
     inside = name.removeprefix('bellows_ros.')
-    return SENTENCES if inside.startswith(('report.sentences', 'report.findings')) else (
-        '.'.join(name.split('.')[1:2]))
+    return FINDINGS if inside.startswith('report.findings') else '.'.join(name.split('.')[1:2])
 
 
 @cache

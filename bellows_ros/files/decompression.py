@@ -1,8 +1,8 @@
 """
 Bounded decompression: a small recording cannot expand without end.
 
-rosbags decompresses messages, chunks and whole files whatever their size becomes, so the functions
-that it calls are replaced by those of this module.
+rosbags decompresses messages, chunks and whole files to any size, so this module replaces the
+functions that rosbags calls.
 """
 
 from collections.abc import Callable, Iterator

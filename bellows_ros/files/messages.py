@@ -454,7 +454,7 @@ def decoded(data: bytes, type_name: str, definition: str = '', where: str = '') 
 
 @cache
 def message_types(type_name: str = '', definition: str = '') -> Any:
-    """Return the types of a definition in a recording; without one, those of ROS 2 Jazzy."""
+    """Return the types of a definition in a recording; without one, the types of ROS 2 Jazzy."""
     # late, as it takes long and is rarely needed
     from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 

@@ -32,7 +32,7 @@ MIN_MARKERS = 3
 SETTINGS: Mapping[str, Mapping[str, float]] = {
     'Rotation Type': {'Quaternion': 1.0}, 'Coordinate Space': {'Global': 1.0},
     'Length Units': {'Meters': 1.0, 'Centimeters': 0.01, 'Millimeters': 0.001, 'Inches': 0.0254}}
-"""Accepted settings of an export; those of the length units are in m."""
+"""Accepted settings of an export, with the length of each unit, m."""
 HEADS = {'Type': "the row 'Type'", 'Name': "the row 'Name'",
          'quantity': 'a row with the quantity of each column',
          'axis': "the row of axes, which begins with 'Frame'"}
@@ -181,8 +181,8 @@ def _columns(
     """
     Return the columns of each body, and of the time.
 
-    The columns of a body are those of its pose, those of its markers, and the least value of a
-    visible marker.
+    Of each body the columns of its pose, the columns of its markers, and the least value of a
+    visible marker are returned.
     """
     names = dict.fromkeys(name for kind, name, *_ in heads if kind == 'rigid body')
     if not names:

@@ -14,9 +14,8 @@ from bellows_ros.workflows.info import Info, TopicInfo
 from bellows_ros.workflows.toss import RELEASE_UNITS
 import numpy as np
 
-from .findings import sets
+from .findings import listed, many, sets
 from .findings import text as text_of
-from .sentences import listed, many
 from .text import DISPLAYED, formatted, quantity
 
 if TYPE_CHECKING:

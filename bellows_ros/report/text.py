@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from .findings import listed, many
 from .findings import text as text_of
-from .sentences import listed, many
 
 if TYPE_CHECKING:
     from bellows_ros.core.identification.validation import CornerScores

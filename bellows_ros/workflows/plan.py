@@ -164,7 +164,7 @@ class OfPlan(CommandResult):
         return (self.source.path,)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the JSON files of plans have in common; SI units, null for unknown."""
+        """Return the common entries of JSON files of plans; SI units, null for unknown."""
         return results.plain_items({
             **self.numbers(), 'plan': self.source.path, 'frame_id': self.source.frame_id,
             'findings': [*map(entry, self.findings)], 'warnings': self.warnings})

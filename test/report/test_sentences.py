@@ -9,9 +9,17 @@ from bellows_ros import plots
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.model.cup_package import Cup, TERMS
 from bellows_ros.errors import shown
-from bellows_ros.report import sentences
-from bellows_ros.report.findings import entry, facts, OTHER_FINDINGS, prevents, text, warnings
-from bellows_ros.report.sentences import formatted, SENTENCE_UNITS
+from bellows_ros.report.findings import (
+    entry,
+    facts,
+    formatted,
+    MAX_TEXT,
+    OTHER_FINDINGS,
+    prevents,
+    SENTENCE_UNITS,
+    text,
+    warnings,
+)
 from bellows_ros.report.text import law_sentence
 import numpy as np
 import pytest
@@ -60,7 +68,7 @@ def test_shown_text_is_one_printable_line(text):
     assert shown(text, allowed=text) == text
     assert shown('a' * 81) == 'a' * 77 + '...' and shown('a' * 80) == 'a' * 80
     assert formatted("'{x}' is lost.", x='\x1b[2J\n\udce9') == "'\\x1b[2J\\n\\udce9' is lost."
-    assert len(formatted('{name}', name='a' * 10_000)) == sentences.MAX_TEXT
+    assert len(formatted('{name}', name='a' * 10_000)) == MAX_TEXT
 
 
 def fields(fact):

@@ -2,8 +2,9 @@
 Causes of a misfit: quantities that leave noise alone if they are free.
 
 The score of a quantity is the fall of chi² to first order if it were free without a given value;
-that of a slip also depends on its instant. The two quantities with the largest scores are fitted.
-A cause is certain if chi² then is that of noise, and if no other quantity explains half as much.
+the score of a slip also depends on its instant. The two quantities with the largest scores are
+fitted. A cause is certain if chi² is then as expected of noise, and if no other quantity explains
+half as much.
 """
 
 from collections.abc import Mapping, Sequence
@@ -57,8 +58,8 @@ MIN_SLIP_PERIOD = 0.03
 """Resolution of the instant of a slip, s: the package moves on for some poses of a camera."""
 
 MIN_SLIP_GAIN = 1.1
-"""Smallest gain of a slip relative to that of a com offset, from which a slip near an end of a
-recording cannot be distinguished."""
+"""Smallest ratio of the gains of a slip and of a com offset: near the ends of a recording the two
+cannot be distinguished."""
 
 BAND = 0.8
 """Share of the residual's power in the reported frequency band."""
@@ -140,9 +141,8 @@ def scores(found: Solution, names: Sequence[str]) -> dict[str, float]:
     """
     Return the fall of chi² with each quantity free without a given value, to first order.
 
-    With H (m, m) and slope g (m,) of all unknowns, those of the names included, only some of the
-    unknowns are used at a time: those of the fit, and those of one quantity, whose prior is
-    replaced by a weak one.
+    Information H (m, m) and slope g (m,) include the unknowns of all the names. For each name the
+    unknowns of the fit and of this quantity are used, with a weak prior of the quantity.
     """
     near = found.freed(weak_prior(set(names) - found.problem.places.keys()))
     extended, H, g = near.problem, near.information, near.slope

@@ -218,7 +218,7 @@ def envelope_of(
     """
     Return the validity range of a fit; `holding` is the vacuum, Pa.
 
-    Of a tag, whose poses are too noisy, it is that of the free simulations.
+    Poses of a tag are too noisy: its recordings have the range of their free simulations.
     """
     simulated = [each.envelope for each in simulations if each.recording.views]
     return joined_envelopes(simulated or [part.envelope for part in parts], holding)

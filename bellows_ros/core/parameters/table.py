@@ -126,7 +126,7 @@ has the others."""
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
-    """Return a parameter from its entry in the file; the kind is that of the default, if any."""
+    """Return a parameter from its entry in the file; a default, if any, decides on the kind."""
     fields: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key, value in {**entry, **_COMPUTED.get(name, {})}.items()}

@@ -28,8 +28,10 @@ MAX_STRETCH = 20.0
 STRETCH_STEP = 1.02
 """Ratio of neighbouring factors in the scan: a swing of 1 s that cancels is seen to 20 ms."""
 
-SCAN_START, SCAN_END = 0.02, 10.0
-"""Smallest and largest time scale of a plan in the scan for a safe grip."""
+SCAN_START = 0.02
+"""Smallest time scale of a plan in the scan for a safe grip."""
+SCAN_END = 10.0
+"""Largest time scale of a plan in the scan for a safe grip."""
 SCAN_STEP = 1.006
 """Ratio of neighbouring time scales in the scan, which changes the safety factor by about 1 %."""
 TOLERANCE = 1.0001

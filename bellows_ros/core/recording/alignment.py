@@ -32,19 +32,29 @@ R_WORLD_MOTIVE = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 WORLDS = {'z_up': np.eye(3), 'motive_y_up': R_WORLD_MOTIVE}
 """Rotations from axes of a recording to axes with z up, by the value of recording.world."""
 
-# Smallest number of valid samples of a standstill, and smallest fraction of the samples by the
-# rate.
-MIN_SAMPLES_AT_REST, MIN_PART_AT_REST = 10, 0.5
-# Duration of the averaged poses at the beginning, and shortest rest at the beginning, s.
+MIN_SAMPLES_AT_REST = 10
+"""Smallest number of valid samples of a standstill."""
+
+MIN_PART_AT_REST = 0.5
+"""Smallest fraction of valid samples of a standstill."""
+
 START_SECONDS = 0.2
+"""Duration of the averaged poses at the beginning, s."""
+
 MIN_REST = 0.5
-# Fraction of a standstill whose poses count as at rest.
+"""Shortest standstill at the beginning that aligns the marker frames, s."""
+
 REST_PART = 0.9
-# Smallest rotation (rad) of marker frames relative to each other, also relative to the tool's
-# tilt, by which a package bends the cup.
-MIN_FRAME_ANGLE, MIN_ANGLE_TO_TILT = np.deg2rad(1.5), 0.5
-# Largest rotation (rad) of a package on a cup at rest: 60 degrees, beyond any bending.
+"""Fraction of a standstill whose poses are averaged."""
+
+MIN_FRAME_ANGLE = np.deg2rad(1.5)
+"""Smallest relative rotation of marker frames that no weight of a package explains, rad."""
+
+MIN_ANGLE_TO_TILT = 0.5
+"""Smallest ratio of this rotation to the tilt of the tool, by which a package bends the cup."""
+
 MAX_TURN = 1.0
+"""Largest rotation of a package on a cup at rest, rad: 60 degrees, beyond any bending."""
 
 
 @dataclass(frozen=True, eq=False)

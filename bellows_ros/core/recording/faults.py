@@ -2,7 +2,7 @@
 The table of checks of a recording before a fit, for `info`, `identify`, `replay` and the node.
 
 A check is a function that yields findings on the 'tool', the 'package' or 'both'. Checks presume
-that those of earlier rows found no error; errors prevent a fit, and some a replay.
+that the checks of earlier rows found no error; errors prevent a fit, and some a replay.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -170,7 +170,7 @@ class CleanPoses(NamedTuple):
 def _clean(
     recorded: PoseStream, R_world_recorded: Array, is_tag: bool = False
 ) -> CleanPoses:
-    """Return the poses of a topic in the world; those of a tag without a search for outliers."""
+    """Return the poses of a topic in the world; poses of a tag are not searched for outliers."""
     with _naming(recorded.name):
         recorded, jitter_s = resampling.at_sampling(recorded)
         poses = in_world(recorded.trajectory(), R_world_recorded)

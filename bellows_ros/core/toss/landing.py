@@ -29,8 +29,11 @@ MARGIN = 0.25
 TOLERANCE = 1e-6
 """Accuracy of the best release time, s."""
 
-SCAN, REFINED = 4e-3, 3
-"""Step of the scan for the best release time, s, and number of its minima that are refined."""
+SCAN = 4e-3
+"""Step of the scan for the best release time, s."""
+
+REFINED = 3
+"""Number of refined minima of the scan."""
 
 NO_LANDING = 1e6
 """Distance from the target that stands for a toss without a landing, m."""
