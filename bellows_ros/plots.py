@@ -64,6 +64,14 @@ MAX_FACTOR = 4.0
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 EDGES = [[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit]
 """Corners of a unit box, and its edges as indices of corners."""
+AZIMUTH, ELEVATION = np.radians([-50.0, 12.0])
+"""Direction to the viewer of an animation, rad."""
+VIEW = np.array([
+    [-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0],
+    [-np.sin(ELEVATION) * np.cos(AZIMUTH), -np.sin(ELEVATION) * np.sin(AZIMUTH),
+     np.cos(ELEVATION)]])
+"""Projection (2, 3) to the picture, right and up, without mpl_toolkits, which may belong to
+another matplotlib."""
 REACH = 3.0
 """Largest distance of a held package's lip from the tool tip, lengths of the cup."""
 MIN_MARGIN = 0.06
@@ -460,8 +468,7 @@ def animation(scenes: Sequence[Scene]) -> bytes:
 
         canvas = FigureCanvasAgg(figure)
         panels = [_space(panel, scene) for panel, scene in zip(figure.subplots(
-            1, len(scenes), squeeze=False, subplot_kw={'projection': '3d'})[0], scenes,
-            strict=True)]
+            1, len(scenes), squeeze=False)[0], scenes, strict=True)]
         for t in times:
             drawn = [artist for panel, scene in zip(panels, scenes, strict=True)
                      for artist in _bodies(panel, scene, t)]
@@ -480,21 +487,19 @@ def animation(scenes: Sequence[Scene]) -> bytes:
 
 def _space(panel: Any, scene: Scene) -> Any:
     """Return a panel that shows a whole scene in equal scales."""
-    bodies = np.vstack([scene.tool.position, scene.package.position])
+    bodies = np.vstack([scene.tool.position, scene.package.position]) @ VIEW.T
     margin = max(MIN_MARGIN, 0.6 * max(scene.values.package.size))
     low, high = bodies.min(axis=0) - margin, bodies.max(axis=0) + margin
-    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]),
-              title=scene.label)
-    panel.set_box_aspect(high - low, zoom=1.15)
-    panel.view_init(12.0, -50.0)
-    panel.plot(*scene.package.position.T, color=MEASURED, linewidth=0.8)
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=scene.label)
+    panel.set_aspect('equal')
+    panel.plot(*(scene.package.position @ VIEW.T).T, color=MEASURED, linewidth=0.8)
     panel.set_axis_off()
     return panel
 
 
 def _bodies(panel: Any, scene: Scene, t: float) -> list[Any]:
     """Draw the bodies at a time (s), and return their artists."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+    from matplotlib.collections import LineCollection
 
     i = min(int(np.searchsorted(scene.tool.seconds, t)), len(scene.tool) - 1)
     com, size = np.array(scene.values.package.com), np.array(scene.values.package.size)
@@ -507,7 +512,8 @@ def _bodies(panel: Any, scene: Scene, t: float) -> list[Any]:
         if body is not None:  # without a given size the line from the lip to the centre of mass
             box = CORNERS[EDGES] * size if size.all() else np.array([[-com, 0.0 * com]])
             lines.append((body.position[i] + box @ body.rotation[i].T, colour, 1.6))
-    return [panel.add_collection3d(Line3DCollection(list(each), colors=colour, linewidths=width))
+    return [panel.add_collection(LineCollection(
+        list(np.asarray(each) @ VIEW.T), colors=colour, linewidths=width))
             for each, colour, width in lines]
 
 

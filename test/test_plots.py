@@ -1,6 +1,7 @@
 """Pictures: what they draw, that words stay on the page, and which names are refused."""
 
 import io
+import sys
 
 from bellows_ros import plots
 from bellows_ros.core.geometry.lie import exp_so3
@@ -95,8 +96,9 @@ def test_words_stay_on_the_page_and_cover_no_others(name, request):
         assert not any(box.overlaps(other) for other in boxes[:number])
 
 
-def test_an_animation_shows_the_whole_box_in_every_frame(root):
+def test_an_animation_shows_the_whole_box_in_every_frame(root, monkeypatch):
     """Slow half a second down to six, and keep the predicted box off all edges."""
+    monkeypatch.setitem(sys.modules, 'mpl_toolkits', None)  # may be of another matplotlib
     image = pytest.importorskip('PIL.Image', reason='Pillow comes with matplotlib')
     t = np.arange(51) / 100.0
     tool = Trajectory(np.rint(1e9 * t).astype(np.int64),

@@ -153,6 +153,11 @@ def parameters_for(user: str) -> tuple[Parameter, ...]:
     return tuple(p for p in PARAMETERS.values() if user in p.used_by)
 
 
+SUCCESSORS: Mapping[str, str] = tomllib.loads(
+    Path(__file__).with_name('successors.toml').read_text())
+"""What replaces the parameters of version 1, by name; a group ends with *."""
+
+
 def lookup(name: str) -> Parameter:
     """
     Return the parameter with a name.
@@ -165,6 +170,9 @@ def lookup(name: str) -> Parameter:
     """
     if name in PARAMETERS:
         return PARAMETERS[name]
+    for old in (name, f'{name.partition(".")[0]}.*'):
+        if old in SUCCESSORS:
+            raise BellowsError(f"Parameter '{name}' is of version 1: {SUCCESSORS[old]}")
     raise BellowsError(f"Unknown parameter '{shown(name)}'. {_nearest(name[:80])}")
 
 

@@ -2,11 +2,12 @@
 
 from array import array
 import pickle
+import re
 
 from bellows_ros.core.model.structure import inertia_matrix
 from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.checks import resolve, Settings
-from bellows_ros.core.parameters.table import lookup, PARAMETERS
+from bellows_ros.core.parameters.table import lookup, PARAMETERS, SUCCESSORS
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.errors import BellowsError, NotSetError
 from bellows_ros.files.safe_yaml import load
@@ -66,10 +67,19 @@ def test_missing_required_parameters_are_shown_as_they_are_to_be_set():
     ('package.mas', "'package.mass'"), ('mass', "'package.mass'"),
     ('gravity.direktion', "'gravity.direction'"),
     ('package.xyzzy', 'package.mass, package.inertia, package.com'),
-    ('package', 'package.mass, package.inertia, package.com'), ('zzzzzzzzzz', r'topics\.\*')])
+    ('package', 'package.mass, package.inertia, package.com'), ('zzzzzzzzzz', r'topics\.\*'),
+    *((name.replace('*', 'any'), re.escape(successor)) for name, successor in SUCCESSORS.items())])
 def test_an_unknown_name_is_refused_with_the_nearest_or_those_of_its_group(name, suggested):
     with pytest.raises(BellowsError, match=f"'{name}'.*{suggested}"):
         lookup(name)
+
+
+def test_successors_are_parameters_of_today_and_old_names_are_not():
+    groups = {name.partition('.')[0] for name in PARAMETERS}
+    for name, successor in SUCCESSORS.items():
+        assert name not in PARAMETERS
+        named = re.findall(r'[a-z_]+\.[a-z_]+', successor)
+        assert {each for each in named if each.partition('.')[0] in groups} <= {*PARAMETERS}
 
 
 def test_an_unknown_name_is_shown_shortened_and_printable():
