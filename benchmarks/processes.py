@@ -24,13 +24,12 @@ def done(**figures):
 
 READY = """
 import bellows_ros.nodes.predictor_node
-import numpy as np
 import rclpy
 rclpy.init()
-from bellows_ros.core.live import warm_up
-from bellows_ros.core.model.cup_package import Cup, Package
-package = Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
-warm_up(Cup.thesis(), package, 9.81, 'world')
+from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.nodes.pipeline import compile_all
+compile_all(resolve({'package.mass': 2.17, 'package.com': [0.0, 0.0, -0.03],
+                     'package.inertia': [0.0087, 0.0087, 0.0173, 0.0, 0.0, 0.0]}))
 done()
 """
 """The predictor, from the start of the interpreter to the first possible prediction."""

@@ -143,6 +143,12 @@ def observer_kernels():
 
 
 @pytest.fixture(scope='session')
+def plan_kernels():
+    """Compile answers to plans, and landings."""
+    compiled('plans')
+
+
+@pytest.fixture(scope='session')
 def root():
     """Give the top of the repository."""
     return ROOT

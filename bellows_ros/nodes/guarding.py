@@ -14,7 +14,6 @@ import traceback
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle.node import LifecycleNodeMixin
@@ -52,34 +51,6 @@ def refusals_of_ros(work: str) -> Iterator[None]:
     except (RuntimeError, ParameterException) as error:  # bases of errors of rcl and rclpy
         why = ' '.join(str(error).partition(', at /')[0].rstrip('.').split())
         raise BellowsError(f'ROS cannot {work}: {shown(why, 400)}.') from None
-
-
-class Once:
-    """
-    Work of a node, done aside at the first peer of a topic.
-
-    Parameters
-    ----------
-    node : GuardedNode
-    work : callable, optional
-        Function without arguments; default: none.
-
-    """
-
-    def __init__(self, node: 'GuardedNode', work: Callable[[], None] | None = None) -> None:
-        self._node, self._work, self._done = node, work, Future[None]()
-        if work is None:
-            self._done.set_result(None)
-
-    @property
-    def is_done(self) -> bool:
-        """Whether the work is done."""
-        return self._done.done()
-
-    def on_peers(self, count: int) -> None:
-        """Begin with the work, if there are peers for the first time."""
-        if count and self._work and not self.is_done:
-            self._done, self._work = self._node.aside(self._work), None
 
 
 class GuardedNode(Node):
@@ -138,18 +109,13 @@ class GuardedNode(Node):
         self._aside = ThreadPoolExecutor(THREADS, 'aside')
 
     def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any,
-        on_publishers: Callable[[int], None] | None = None, **options: Any
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *more: Any, **options: Any
     ) -> Any:
         """
         Subscribe with a callback that may fail, and QoS that can be overridden.
 
-        A second callback may receive the number of matching publishers when it changes. rclpy also
-        subscribes to the clock by this function.
+        rclpy also subscribes to the clock by this function.
         """
-        if on_publishers:
-            options['event_callbacks'] = SubscriptionEventCallbacks(
-                matched=self.guarded(lambda matched: on_publishers(matched.current_count)))
         if msg_type is not Clock:
             options['qos_overriding_options'] = OVERRIDABLE
         return super().create_subscription(

@@ -30,7 +30,7 @@ from std_msgs.msg import Bool
 
 from . import conversions
 from .conversions import message_class, quaternion_xyzw, reader, stamp_to_ns, type_name, vector
-from .guarding import GuardedNode, Once
+from .guarding import GuardedNode
 from .outputs import Predicting, QUEUE, Topic
 from ..core.findings import Finding, Level
 from ..core.geometry import lie
@@ -60,8 +60,6 @@ class SensorInput:
         Relative name.
     callback : callable
         Callback for each message; with its bytes if the type is one of `RAW`.
-    on_publishers : callable, optional
-        Callback with the number of matching publishers when it changes.
     qos : QoSProfile, optional
         Default: as for any sensor, without repetition of lost messages.
 
@@ -76,7 +74,7 @@ class SensorInput:
 
     def __init__(
         self, node: GuardedNode, kind: type, topic: str, callback: Callable[[Any], None],
-        on_publishers: Callable[[int], None] | None = None, qos: QoSProfile | None = None,
+        qos: QoSProfile | None = None,
     ) -> None:
         self._node, self._type = node, type_name(kind)
         self._clock: Any = node.get_clock()
@@ -86,7 +84,6 @@ class SensorInput:
         self._subscription = node.create_subscription(
             kind, topic, callback,
             qos or QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT),
-            on_publishers=on_publishers,
             raw=self._type in RAW)
         self.topic = str(self._subscription.topic_name)
 
@@ -285,7 +282,7 @@ class PackageInput:
         self._pipeline, self._live, node = pipeline, pipeline.live, pipeline.node
         given = self._live.values.measured
         kind, self._child_frame, self._published_ns = given.type, given.child_frame.lstrip('/'), 0
-        self._compiling, self._reported = Once(node, pipeline.compile_filter), 0
+        self._reported = 0
         self._tag, self._frame = TagCamera(), ''
         self._no_view, self._no_wrench = Counter[str](), Counter[str]()
         source = self._sources()[kind]
@@ -311,11 +308,6 @@ class PackageInput:
             'detections': Source(DETECTIONS, self._on_detections, most=MAX_VIEWS)}
 
     @property
-    def is_ready(self) -> bool:
-        """Whether everything is compiled; measured poses are used from then on."""
-        return self._compiling.is_done
-
-    @property
     def _observer(self) -> Observer:
         """The observer that corrects the predictions."""
         return self._live.package.observer
@@ -329,7 +321,7 @@ class PackageInput:
 
         def on_message(message: Any) -> None:
             nonlocal poses, count
-            if not (self.is_ready and self._pipeline.node.is_active):
+            if not self._pipeline.node.is_active:
                 return
             before, poses = poses, self._live.screen.poses
             count = count + 1 if poses == before else 1
@@ -338,8 +330,7 @@ class PackageInput:
             else:
                 refused['too_many'] += 1
 
-        return SensorInput(
-            self._pipeline.node, kind, topic, on_message, self._compiling.on_peers)
+        return SensorInput(self._pipeline.node, kind, topic, on_message)
 
     def _on_measured(self, data: bytes) -> None:
         """Correct the prediction by a measured pose."""

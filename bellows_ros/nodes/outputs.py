@@ -22,7 +22,7 @@ from std_msgs.msg import Bool, ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .conversions import odometry
-from .guarding import LATCHED, ManagedNode, Once
+from .guarding import LATCHED, ManagedNode
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
 from ..core.live import LivePredictor, Prediction, uncertainty, vacuum
 from ..core.live.landing import Landing
@@ -54,10 +54,6 @@ class Predicting:
     """Function that publishes the predictions of a step, even if other outputs fail."""
     change: Callable[..., Any]
     """Function that returns the result of a step, and reports a change of the state."""
-    compile_filter: Callable[[], None]
-    """Function that compiles the filter of covariances and measured poses, in a thread."""
-    compile_landing: Callable[[], None]
-    """Function that compiles the landing of a released package, in a thread."""
 
     @property
     def load(self) -> vacuum.Load:
@@ -77,12 +73,9 @@ class Topic:
     name : str
         Relative name.
     make : callable, optional
-        Function that makes the message of a prediction. The function is called at once for a
-        package at rest, so that all its kernels are compiled before the topic exists.
+        Function that makes the message of a prediction.
     qos : QoSProfile, optional
         Default: reliable with a queue; it can be overridden.
-    prepare : callable, optional
-        Function that compiles slow parts of messages, in a thread, at the first subscriber.
 
     Attributes
     ----------
@@ -93,17 +86,14 @@ class Topic:
 
     def __init__(
         self, kind: type, name: str, make: Callable[[Prediction], Any] | None = None,
-        qos: QoSProfile | None = None, prepare: Callable[[], None] | None = None,
+        qos: QoSProfile | None = None,
     ) -> None:
         self._kind, self.name, self._make = kind, name, make
-        self._qos, self._prepare = qos or QoSProfile(depth=QUEUE), prepare
-        self.subscribed = False
-        if make:
-            make(uncertainty.STILL)
+        self._qos, self.subscribed = qos or QoSProfile(depth=QUEUE), False
 
     def advertise(self, node: ManagedNode) -> Self:
         """Create the publisher."""
-        self._node, self._prepared = node, Once(node, self._prepare)
+        self._node = node
         self._publisher = node.create_lifecycle_publisher(
             self._kind, self.name, self._qos,
             event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
@@ -111,10 +101,10 @@ class Topic:
         self.name = str(self._publisher.topic_name)
         return self
 
-    @property
-    def is_ready(self) -> bool:
-        """Whether everything is compiled."""
-        return self._prepared.is_done
+    def try_with(self, still: Prediction) -> None:
+        """Make the message of a package at rest, which compiles all its kernels."""
+        if self._make:
+            self._make(still)
 
     def send(self, prediction: Prediction) -> None:
         """Publish the message of a prediction, if there is a subscriber."""
@@ -130,9 +120,8 @@ class Topic:
             self._node.note_failure(error, self.name)
 
     def _on_matched(self, matched: Any) -> None:
-        """Update the presence of subscribers; prepare the messages at the first one."""
+        """Update the presence of subscribers."""
         self.subscribed = matched.current_count > 0
-        self._prepared.on_peers(matched.current_count)
 
 
 class Outputs:
@@ -159,13 +148,11 @@ class Outputs:
         self._wrench = Topic(geometry.WrenchStamped, 'cup/wrench', lambda now: pack(
             messages.WRENCH, (messages.LIP_FRAME,), now.stamp_ns, *now.force, *now.moment))
         self._safety = Topic(geometry.Vector3Stamped, 'cup/safety_factor')
-        self._odometry = Topic(
-            Odometry, 'package/odometry', self._make_odometry, prepare=shared.compile_filter)
+        self._odometry = Topic(Odometry, 'package/odometry', self._make_odometry)
         self._deflection = Topic(geometry.PoseStamped, 'cup/deflection', self._make_deflection)
         self._markers = Topic(MarkerArray, 'package/markers', lambda now: markers(
             shared.live.values, shared.live.frame_id, shared.live.model, now))
-        self.landing = Topic(geometry.PoseWithCovarianceStamped, 'package/landing',
-                             prepare=shared.compile_landing)
+        self.landing = Topic(geometry.PoseWithCovarianceStamped, 'package/landing')
         self._state = Topic(String, 'package/state', qos=LATCHED)
         self._ok = Topic(Bool, 'package/ok', qos=LATCHED)
         self._tf: Topic | None = None
@@ -177,9 +164,12 @@ class Outputs:
             self._tf = Topic(TFMessage, '/tf', lambda now: pack(
                 messages.TRANSFORMS, (shared.live.frame_id, messages.PACKAGE_FRAME),
                 now.stamp_ns, *now.position, *now.quaternion_xyzw))
-        for part in list(vars(self).values()):
-            if isinstance(part, Topic):
-                part.advertise(node)
+        topics = [part for part in vars(self).values() if isinstance(part, Topic)]
+        still = uncertainty.still(shared.live.model)
+        for topic in topics:
+            topic.try_with(still)
+        for topic in topics:
+            topic.advertise(node)
         self._last_state = ''
         self._was_ok: bool | None = None
         self._drawn_ns = self._newest_ns = -1
@@ -191,8 +181,7 @@ class Outputs:
 
     def _make_odometry(self, now: Prediction) -> bytes:
         """Return pose and twist, with large covariance while it is unknown."""
-        is_known = now is not uncertainty.STILL and self._odometry.is_ready
-        P = self._shared.live.covariance(now.stamp_ns) if is_known else None
+        P = self._shared.live.covariance(now.stamp_ns)
         return odometry(self._shared.live.frame_id, messages.PACKAGE_FRAME, now,
                         uncertainty.UNKNOWN if P is None else P)
 

@@ -8,7 +8,6 @@ the prediction.
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
-import gc
 import time
 from typing import Any
 
@@ -25,14 +24,14 @@ from .guarding import ManagedNode
 from .inputs import Attachment, PackageInput, SensorInput, TransformInput
 from .outputs import Outputs, Predicting
 from .planning import Planning
+from .planning import warm_up as warm_up_plans
 from ..core.geometry.arrays import Array
-from ..core.geometry.jit import compile_aside, is_new
+from ..core.geometry.jit import announce
 from ..core.geometry.tuples import Quaternion, Vector
 from ..core.live import landing, LivePredictor, Prediction, warm_up
 from ..core.live.cycle import RELEASED
 from ..core.model.cup_package import model_tuple
 from ..core.model.grip import Grip
-from ..core.model.kernels import ModelTuple
 from ..core.observer.observer import warm_up_observer
 from ..core.parameters.conversion import cup_of, package_of
 from ..core.signals.trajectory import NS_PER_S
@@ -59,8 +58,6 @@ class Pipeline(Predicting):
 
     Attributes
     ----------
-    compiler : subprocess.Popen or None
-        Process that compiles the kernels for a camera, if missing.
     pose_in, twist_in : SensorInput
         Inputs of poses and of twists; `twist_in` is None for Odometry, which includes twists.
     compute : deque
@@ -73,10 +70,9 @@ class Pipeline(Predicting):
         self.node = node
         values = node.values
         self.compute, self._reported = health.window(), Counter[str]()
-        if is_first := is_new():
-            node.get_logger().info('Compiling (once a version): about a minute.')
-        self._compile_predictor(values)
-        self.compiler = compile_aside(compile_topics, values) if is_first else None
+        announce(lambda: node.get_logger().info(
+            'Compiling (once a version and kind of cup): about a minute.'))
+        compile_all(values)
         self._kind = len(cup_of(values).as_tuple)  # more numbers if it relaxes
         self._compiling: Future[None] | None = None
         self.live = LivePredictor.from_parameters(node.values)
@@ -188,7 +184,7 @@ class Pipeline(Predicting):
             stamp_ns = newest_ns
         held, grip, before = self.live.latest, self.load.grip, self.live.state
         topic, covariance = self.outputs.landing, None
-        if held and topic.subscribed and topic.is_ready:
+        if held and topic.subscribed:
             covariance = self.live.covariance(held.stamp_ns)
         self.change(self.live.on_valve, on, stamp_ns)
         if held and covariance is not None and self.live.state == RELEASED != before:
@@ -203,11 +199,6 @@ class Pipeline(Predicting):
             self.live.values, self.live.model, grip, held, covariance, switched_ns)
         if found:
             self.outputs.publish_landing(found)
-
-    def compile_landing(self) -> None:
-        """Compile the landing, in a thread; it needs package.size."""
-        self.compile_filter()
-        landing.warm_up(self.live.values, self.live.model)
 
     def _tick(self) -> None:
         """Predict for waiting poses when no more messages arrive, and bridge a gap."""
@@ -242,30 +233,17 @@ class Pipeline(Predicting):
         if self._kind != before:
             self.node.get_logger().info(
                 'Compiling for the new values; the ones before are used until then.')
-            self._compiling = self.node.aside(self._compile, values)
+            self._compiling = self.node.aside(compile_all, values)
         if self._compiling is None or self._compiling.done():
             self._compiling = None
             self.live.use(values)
 
-    def _compile_predictor(self, values: Values) -> ModelTuple:
-        """Compile the predictor for some values; return their model."""
-        cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
-        warm_up(cup, package, gravity, values.tool_twist.frame)
-        return model_tuple(cup, package, gravity)
 
-    def compile_filter(self) -> None:
-        """Compile the filter, in a thread."""
-        if self.compiler:
-            self.node.get_logger().info('Compiling the observer; its topics wait for it.')
-            self.compiler.wait()
-        warm_up_observer(self.live.values, self.live.model)
-        gc.freeze()  # as `configure` does: the compiler's garbage is never scanned again
-
-    def _compile(self, values: Values) -> None:
-        """Compile for values of another kind, in a thread; the next tick continues with them."""
-        warm_up_observer(values, self._compile_predictor(values))
-
-
-def compile_topics(values: Values) -> None:
-    """Compile kernels of topics other than the tool's."""
-    warm_up_observer(values, model_tuple(cup_of(values), package_of(values), gravity_of(values)))
+def compile_all(values: Values) -> None:
+    """Compile all kernels that a node with these values may need."""
+    cup, package, gravity = cup_of(values), package_of(values), gravity_of(values)
+    model = model_tuple(cup, package, gravity)
+    warm_up(cup, package, gravity, values.tool_twist.frame)
+    warm_up_observer(values, model)
+    landing.warm_up(values, model)
+    warm_up_plans(model)

@@ -11,16 +11,17 @@ import numpy as np
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from .guarding import LATCHED, Once
+from .guarding import LATCHED
 from .outputs import Predicting, Topic
 from ..core.findings import Finding, Level
 from ..core.geometry.arrays import Mask
 from ..core.geometry.lie import quaternion_to_rotation
 from ..core.model.grip import safety_finding
+from ..core.model.kernels import ModelTuple
 from ..core.model.validity_range import flip_finding
 from ..core.parameters.conversion import parameter_envelope, tip_of
 from ..core.planning.arm import read_arm
-from ..core.planning.plan_prediction import NO_ABORT, PlanPrediction, PlanSimulation
+from ..core.planning.plan_prediction import PlanPrediction, PlanSimulation
 from ..core.planning.points import joint_excess, Joints, plan_of, speed_step_finding
 from ..core.planning.steering import steer
 from ..core.signals.trajectory import from_tip, NS_PER_S, same_frame, Trajectory
@@ -38,6 +39,14 @@ ANGLES = ('peak_bending', 'swing_left')
 
 MAX_STEERED_DURATION = 60.0
 """Longest motion that is steered live, s; longer ones would delay the next answer."""
+
+
+def warm_up(model: ModelTuple) -> None:
+    """Compile the answers with an example, unless the cup cannot hold the package."""
+    poses = np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1))
+    still = plan_of(np.arange(9) * 50_000_000, poses, np.zeros((9, 6)))
+    with suppress(BellowsError):
+        PlanSimulation(model, None, still.trajectory(), tail=0.1).predict()
 
 
 class Planning:
@@ -59,7 +68,7 @@ class Planning:
                 (MultiDOFJointTrajectory, 'package/plan'), (Path, 'package/plan_path'),
                 (MultiDOFJointTrajectory, 'tool_arm/steered'),
                 (JointTrajectory, 'tool_arm/steered_joints')))
-        self._urdf, self._warming = '', Once(node, self._warm_up)
+        self._urdf = ''
         self._stop, self._answering = np.zeros(1, np.bool_), Future[None]()
         self._outcome: PlanPrediction | Status | None = None
         self._findings: tuple[Finding, ...] = ()
@@ -68,8 +77,7 @@ class Planning:
                 (MultiDOFJointTrajectory, 'tool_arm/plan', plans.MULTI_DOF),
                 (JointTrajectory, 'tool_arm/plan_joints', plans.JOINTS)):
             node.create_subscription(  # of bytes, which are decoded in the thread of the answer
-                kind, topic, partial(self._on_plan, name), 10,
-                on_publishers=self._warming.on_peers, raw=True)
+                kind, topic, partial(self._on_plan, name), 10, raw=True)
         node.create_subscription(String, 'robot_description', self._on_description, LATCHED)
 
     def forget(self) -> None:
@@ -81,17 +89,7 @@ class Planning:
     def _on_plan(self, kind: str, data: bytes) -> None:
         """Answer a plan, instead of the one before, in a thread."""
         self.forget()
-        if not self._warming.is_done:
-            self._pipeline.node.get_logger().info(
-                'A plan waits until its answer is compiled (once a version, up to a minute).')
         self._answering = self._pipeline.node.aside(self._answer, kind, data, self._stop)
-
-    def _warm_up(self) -> None:
-        """Compile the answers with an example, unless the cup cannot hold the package."""
-        poses = np.tile([0.0, 0, 0, 0, 0, 0, 1.0], (9, 1))
-        still = plan_of(np.arange(9) * 50_000_000, poses, np.zeros((9, 6)))
-        with suppress(BellowsError):
-            self._predict(still.trajectory(), 0.1, NO_ABORT)
 
     def _on_description(self, message: String) -> None:
         """Store the arm, which is read when a plan needs it."""
@@ -101,7 +99,7 @@ class Planning:
         """Publish the package along a plan and, for its subscribers, the plan without swing."""
         try:
             plan, tool, joints = self._read(kind, data)
-            prediction = self._predict(tool, TAIL, stop)
+            prediction = self._predict(tool, stop)
             self._outcome, self._findings = prediction, plan.findings
             self._publish(plan, tool, prediction)
             if (status := self.status) and status.level > Level.OK:
@@ -114,10 +112,10 @@ class Planning:
                 self._outcome = Status('plan', fact('state', state=f'Refused. {error}'), {})
                 self._pipeline.node.get_logger().warning(f'A plan was refused. {error}')
 
-    def _predict(self, tool: Trajectory, tail: float, stop: Mask) -> PlanPrediction:
+    def _predict(self, tool: Trajectory, stop: Mask) -> PlanPrediction:
         """Return the package along a plan, from rest."""
         return PlanSimulation(
-            self._pipeline.live.model, self._pipeline.load.grip, tool, tail=tail,
+            self._pipeline.live.model, self._pipeline.load.grip, tool, tail=TAIL,
             stop=stop).predict()
 
     def _publish(self, plan: Plan, tool: Trajectory, prediction: PlanPrediction) -> None:

@@ -147,9 +147,6 @@ class PredictorNode(ManagedNode):
             self.get_logger().info(', '.join(
                 f'{count} {what}' for what, count in {**live.counts, **live.refused}.items()
                 if count))
-            if self.pipeline.compiler:
-                self.pipeline.compiler.terminate()
-                self.pipeline.compiler.wait()
         self.pipeline, self.is_active = None, False
         self.forget_work()
         if self._before is None:

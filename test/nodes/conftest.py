@@ -251,7 +251,7 @@ def listener(ros, monkeypatch):
 
 
 @pytest.fixture
-def make_predictor(ros, predictor_kernels):
+def make_predictor(ros, predictor_kernels, observer_kernels, plan_kernels):
     """Give a function that makes a predictor node with the given parameters, and spins it."""
     from bellows_ros.nodes.predictor_node import PredictorNode
 

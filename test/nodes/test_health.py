@@ -66,7 +66,6 @@ def test_two_publishers_of_a_topic_are_named(ros, listener, make_partner):
     partner, other = make_partner(), Peer(ros, 'other')
     other.writes(PoseStamped, 'tool_arm/pose')
     wrenches = [each.writes(WrenchStamped, 'tool_arm/wrench') for each in (partner, other)]
-    partner.wait(lambda: partner.predictor.pipeline.observing.is_ready)
     with sending(partner):
         assert listener.sees('tool pose', WARN, 'several publishers: other, partner')
         for writer in wrenches:

@@ -30,7 +30,7 @@ from visualization_msgs.msg import MarkerArray
 from rclpy.executors import SingleThreadedExecutor
 from bellows_ros.core.geometry import jit
 from bellows_ros.nodes.predictor_node import PredictorNode
-from bellows_ros.nodes.guarding import executor_for, Once
+from bellows_ros.nodes.guarding import executor_for
 from test.nodes.conftest import (
     overrides_of, PACKAGE, Partner, pose_at, set_on, stamped, START, topics_of)
 
@@ -110,7 +110,7 @@ def held():
     return sum(trace.size for trace in taken.traces)
 
 partner.wait(lambda: all(
-    topic.subscribed and topic.is_ready for topic in topics_of(predictor)))
+    topic.subscribed for topic in topics_of(predictor)))
 predictor.diagnostics.report()
 modules, compiled = set(sys.modules), signatures()
 pressure_out.publish(stamped(FluidPressure(fluid_pressure=30000.0), START))
@@ -141,8 +141,7 @@ plans, landings, steered, paths, payloads, stds = answered = [
 partner.connect(predictor)
 pipeline = predictor.pipeline
 planning = pipeline.planning
-partner.wait(lambda: planning._plan_out.subscribed and pipeline.outputs.landing.is_ready
-             and planning._warming.is_done)
+partner.wait(lambda: planning._plan_out.subscribed)
 send(1)
 plan = MultiDOFJointTrajectory(joint_names=['tool'], points=[
     MultiDOFJointTrajectoryPoint(
@@ -152,7 +151,6 @@ plan_out.publish(plan)
 partner.wait(lambda: plans and paths and steered)
 send(1)
 measured = pose_at(START + sent * STEP_NS + 100_000_000)
-partner.wait(lambda: pipeline.observing.is_ready)
 measured_out.publish(measured)
 partner.wait(lambda: predictor.pipeline.live.package.observer.has_sensor)
 def measured_again():
@@ -177,7 +175,6 @@ def answered_all():
     return plans and joints
 partner.wait(answered_all)
 answered.append(joints)
-pipeline.observing._compiling = Once(predictor, print)  # also for those on their way
 pipeline.live.package.observer.has_sensor = False
 set_on(predictor, 'package.size', [0.2, 0.1, 0.1])
 send(2)

@@ -50,8 +50,7 @@ def test_measured_poses_correct_what_is_published(make_partner, kind, apart):
     partner.connect()
     pipeline = partner.predictor.pipeline
     observing = pipeline.observing
-    partner.wait(lambda: observing._estimated.subscribed and observing._std.subscribed
-                 and observing.is_ready)
+    partner.wait(lambda: observing._estimated.subscribed and observing._std.subscribed)
     live = pipeline.live
     start_ns, swing = time.time_ns(), swinging()
 
@@ -102,7 +101,7 @@ def test_wrenches_weigh_the_package(make_partner):
     payloads = partner.hears(InertiaStamped, 'package/estimated')
     partner.connect()
     pipeline = partner.predictor.pipeline
-    partner.wait(lambda: pipeline.observing.is_ready and pipeline.observing._estimated.subscribed)
+    partner.wait(lambda: pipeline.observing._estimated.subscribed)
     start_ns, heavier = time.time_ns(), 1.05 * PACKAGE['package.mass']
     for k in range(1, 250):
         partner.predict(start_ns + k * 4_000_000)
@@ -118,8 +117,6 @@ def test_a_flood_of_a_sensor_leaves_time_for_the_tool(make_partner):
     """At 10 kHz, use a bounded number of messages for each pose of the tool; count the others."""
     partner = make_partner(with_twists=False)
     predictor, observing = partner.predictor, partner.predictor.pipeline.observing
-    observing._compiling.on_peers(1)
-    partner.wait(lambda: observing.is_ready)
     callbacks = {each.topic_name: each.callback for each in predictor.subscriptions}
     start_ns, used = time.time_ns(), predictor.pipeline.live.package.observer.counts
     for k in range(1, 4):

@@ -79,7 +79,7 @@ class Planner:
             data=UR5E.replace(f'"{ARM.root}"', '"world"')))
         partner.connect()
         self.planning = planning = partner.predictor.pipeline.planning
-        self.wait(lambda: planning._warming.is_done and planning._urdf and self.is_idle() and all(
+        self.wait(lambda: planning._urdf and self.is_idle() and all(
             topic.subscribed for topic in (
                 planning._plan_out, planning._path_out, planning._steered,
                 planning._steered_joints)))
@@ -208,7 +208,7 @@ def test_the_landing_is_published_once_at_the_release(make_partner):
     valve, live = partner.writes(Bool, 'vacuum/valve'), partner.predictor.pipeline.live
     partner.connect()
     topic = partner.predictor.pipeline.outputs.landing
-    partner.wait(lambda: topic.subscribed and topic.is_ready)
+    partner.wait(lambda: topic.subscribed)
     partner.send_twist(START)
     partner.predict(START)
     valve.publish(Bool(data=False))

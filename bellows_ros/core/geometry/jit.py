@@ -12,10 +12,7 @@ from contextlib import suppress
 import hashlib
 import os
 from pathlib import Path
-import pickle
 import shutil
-import subprocess
-import sys
 from tempfile import TemporaryFile
 import time
 import traceback
@@ -98,11 +95,6 @@ FOLDER = _use_folder() if COMPILED else None
 """Folder of the machine code, or None."""
 
 
-def is_new() -> bool:
-    """Return whether nothing was compiled so far."""
-    return COMPILED and not (FOLDER and any(FOLDER.iterdir()))
-
-
 def kernel(function: Function) -> Function:
     """
     Mark a function that compiled entries call. A call from Python runs the function uncompiled.
@@ -159,32 +151,6 @@ def damage(error: BaseException) -> str:
     return any(Path(file).match('numba/core/caching.py') for file in files) * (
         f"Compiled code in '{FOLDER}' cannot be used ({type(error).__name__}: {error}). Remove "
         'that folder, and start again; if this recurs, set NUMBA_CACHE_DIR to another one.')
-
-
-ASIDE = """
-import ctypes, os, pickle, sys
-ctypes.CDLL(None).prctl(1, 15), os.nice(5)
-function, arguments = pickle.load(sys.stdin.buffer)
-function(*arguments)
-"""
-"""Program that runs a function at low priority; on Linux it ends with the thread that started
-it."""
-
-
-def compile_aside(function: Callable[..., object], *arguments: object) -> subprocess.Popen[bytes]:
-    """
-    Start a process that calls a function of a module, so that its machine code is stored on disk.
-
-    A compiler in a thread would hold the interpreter for seconds. If the process fails, the
-    entries are compiled at their first call.
-    """
-    process = subprocess.Popen(
-        [sys.executable, '-P', '-c', ASIDE], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-    assert process.stdin
-    with suppress(BrokenPipeError), process.stdin as stdin:
-        stdin.write(pickle.dumps((function, arguments)))
-    return process
 
 
 def as_inputs(*arrays: *Arrays) -> tuple[*Arrays]:

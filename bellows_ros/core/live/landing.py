@@ -91,6 +91,7 @@ def landing(
 
 def warm_up(values: Values, model: ModelTuple) -> None:
     """Compile the landing with a package at rest above the floor."""
+    values = values.replaced({'package.size': (0.1, 0.1, 0.1)})  # may be unknown
     high = scale(values.landing.height + 1.0 + 2.0 * max(values.package.size), upward(model[2]))
     landing(values, model, None, STILL._replace(position=high, tool=(high, *STILL.tool[1:])),
             np.eye(12))

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.tuples import Quaternion, rotation_matrix, Vector, ZERO
-from bellows_ros.core.model.equilibrium import pose_error
-from bellows_ros.core.model.kernels import ORIGIN, State, Strains
+from bellows_ros.core.model.equilibrium import pose_error, resting_on_tool
+from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Strains
 from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
@@ -67,6 +67,11 @@ class Prediction(NamedTuple):
 
 STILL = Prediction(1, *ORIGIN, ZERO, ZERO)
 """Prediction for a package of unknown state."""
+
+
+def still(model: ModelTuple) -> Prediction:
+    """Return `STILL` with the internal strains of a cup that relaxes."""
+    return STILL._replace(strains=resting_on_tool(model, ORIGIN)[4:])
 
 
 def coasting(seconds: float) -> Array:

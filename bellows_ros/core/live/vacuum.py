@@ -8,7 +8,7 @@ from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.jit import entry
 from bellows_ros.core.geometry.tuples import Matrix, Quaternion, Vector
 from bellows_ros.core.live.held_package import HeldPackage
-from bellows_ros.core.live.uncertainty import Prediction, STILL
+from bellows_ros.core.live.uncertainty import Prediction, still
 from bellows_ros.core.model import kernels
 from bellows_ros.core.model.grip import least_factors, mode_name, safety_factors
 from bellows_ros.core.model.kernels import ModelTuple
@@ -290,8 +290,8 @@ def check_live(values: Values) -> None:
     try:
         with np.errstate(all='ignore'):
             model = HeldPackage(*held).model
-            load.watch_force(model, STILL)
-            load.watch_deflection(model, STILL)
+            load.watch_force(model, still(model))
+            load.watch_deflection(model, still(model))
             equivalent_box(values)
     except (ArithmeticError, ValueError) as error:
         raise BellowsError(

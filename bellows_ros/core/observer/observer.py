@@ -16,6 +16,7 @@ import math
 
 from bellows_ros.core.geometry import tuples as t3
 from bellows_ros.core.geometry.arrays import Array, Stamps
+from bellows_ros.core.geometry.tuples import ZERO
 from bellows_ros.core.model.equilibrium import resting_on_tool, sag, substeps_for
 from bellows_ros.core.model.kernels import ModelTuple, ORIGIN, State, Wrench
 from bellows_ros.core.model.simulation import body_row, row_state
@@ -24,7 +25,7 @@ from bellows_ros.core.observer import filter as ekf
 from bellows_ros.core.observer.alarms import Alarm, DIFFERS, LOST
 from bellows_ros.core.observer.correction import Correction, ON_SUPPORT
 from bellows_ros.core.observer.dynamics import MAX_SUBSTEPS
-from bellows_ros.core.observer.measurement import changed_by, OUTLIER_DISTANCE
+from bellows_ros.core.observer.measurement import OUTLIER_DISTANCE
 from bellows_ros.core.observer.pose_sensor import Measurement, NO_MEASUREMENT, PoseSensor
 from bellows_ros.core.observer.results import Estimate, Payload, payload_of
 from bellows_ros.core.observer.states import (
@@ -35,7 +36,7 @@ from bellows_ros.core.observer.states import (
     STATE,
 )
 from bellows_ros.core.observer.support import Support
-from bellows_ros.core.observer.wrenches import WrenchFilter
+from bellows_ros.core.observer.wrenches import MIN_COUNT, WrenchFilter
 from bellows_ros.core.parameters.conversion import places_of
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.sensors.wrench import BLOCK_NS, WrenchSensor
@@ -573,8 +574,8 @@ def warm_up_observer(values: Values, model: ModelTuple) -> None:
     observer.set_model(model, math.inf, math.inf)
     observer.start(1, ORIGIN, resting_on_tool(model, ORIGIN))
     observer.update(Measurement(500_000, *observer.body[:2], np.eye(6)))
-    observer.follow(1_000_000, ORIGIN, ORIGIN)
+    last_ns = 2 * BLOCK_NS
+    observer.follow(last_ns, ORIGIN, ORIGIN)
     observer.propagated_briefly(ORIGIN, ORIGIN, 1e-3)
-    observer._track.after(1)
-    estimate = observer._estimates[-1]
-    changed_by(observer.body, estimate.theta, np.zeros(len(estimate.covariance)))
+    for stamp_ns in (*range(last_ns - BLOCK_NS, last_ns - BLOCK_NS + MIN_COUNT - 1), last_ns):
+        observer.on_wrench(stamp_ns + observer.wrenches.sensor.delay_ns, (ZERO, ZERO))

@@ -107,11 +107,3 @@ def test_numba_that_cannot_be_loaded_is_not_needed_and_says_why(tmp_path, fault,
 from bellows_ros.core.geometry import jit
 print(json.dumps(jit.NOT_COMPILED))""", f'{tmp_path}{os.pathsep}{PACKAGE.parent}')
     assert hits == 0 and len(found) == 4 and told.startswith(reason)
-
-
-def test_work_aside_is_done_in_another_process(tmp_path, capfd):
-    """Call the function with its arguments; fail without a word, as its entries come later."""
-    assert jit.compile_aside(os.mkdir, str(tmp_path / 'made')).wait(600) == 0
-    assert (tmp_path / 'made').is_dir()
-    assert jit.compile_aside(os.mkdir, str(tmp_path / 'made')).wait(600) != 0
-    assert capfd.readouterr() == ('', '')
