@@ -306,20 +306,23 @@ def _topic_of_role(path: File, role: str, name: str, recorded: Sequence[TopicCou
     if len(filled) == 1:
         return filled[0]
     where = f"Topic '{name}' in recording '{path}'"
-    if fitting:
+    if filled:
         kinds = ' and '.join(each.type_name for each in filled)
-        raise BellowsError(f'{where} has ' + (
-            f'messages of two types, {kinds}. Record them under two names.' if filled else
-            'no messages. Record while it is published.'))
+        raise BellowsError(
+            f'{where} has messages of two types, {kinds}. Record them under two names.')
+    if fitting:
+        raise BellowsError(f'{where} has no messages. Record while it is published.')
+    fault = f"Topic '{name}' is not in recording '{path}'. "
+    if own:
+        fault = f'{where} is of type {own[0].type_name}; accepted are {", ".join(types)}. '
+        if has_several_bodies(own[0].type_name):
+            fault += SEVERAL_BODIES
     setting = f'topics.{role}' if f'topics.{role}' in PARAMETERS else 'the topic'
-    others = ', '.join(each.name for each in recorded if each.type_name in types)
-    there = ', '.join(f'{each.name} ({each.type_name})' for each in recorded)
-    raise NoTopicError(
-        (f'{where} is of type {own[0].type_name}; accepted are {", ".join(types)}. '
-         f'{SEVERAL_BODIES * has_several_bodies(own[0].type_name)}' if own else
-         f"Topic '{name}' is not in recording '{path}'. ")
-        + (f'Set {setting} to one of: {others}.' if others else
-           f'None is of a type for {setting}; there are: {there or "none"}.'))
+    there = ', '.join(f'{each.name} ({each.type_name})' for each in recorded) or 'none'
+    remedy = f'None is of a type for {setting}; there are: {there}.'
+    if others := ', '.join(each.name for each in recorded if each.type_name in types):
+        remedy = f'Set {setting} to one of: {others}.'
+    raise NoTopicError(fault + remedy)
 
 
 SEVERAL_BODIES = (

@@ -274,19 +274,21 @@ def lip_noise(
 ) -> Array:
     """Return the variances (2, 6) of the noise in displacement and twist of the lip."""
     variances = np.zeros((2, 6))
-    for (sizes, weights), lever in zip(
-            noise, (cup_length, float(np.linalg.norm(payload.com))), strict=True):
-        turned = sizes.rotation**2
-        variances += np.outer(np.sum(weights[:2] ** 2, axis=1), np.repeat(
-            [sizes.position**2 + lever**2 * turned, turned], 3))
+    levers = cup_length, float(np.linalg.norm(payload.com))  # of tool and package
+    for (sizes, weights), lever in zip(noise, levers, strict=True):
+        rotation = sizes.rotation**2
+        position = sizes.position**2 + lever**2 * rotation
+        gains = np.sum(weights[:2]**2, axis=1)  # of the filter, for poses and twists
+        variances += np.outer(gains, np.repeat([position, rotation], 3))
     return variances
 
 
 def _energy_of_noise(parts: Sequence[Statistics], W: Array) -> Array:
     """Return the information (2 p,) on K and P that noise alone would give, by weights W."""
     basis = np.array(parts[0].structure.model_basis)
+    of_displacement, of_twist = np.sum([each.noise for each in parts], axis=0)
     return np.concatenate([np.einsum('aji,jk,aki,i->a', basis, W, basis, variances)
-                           for variances in np.sum([each.noise for each in parts], axis=0)])
+                           for variances in (of_displacement, of_twist)])
 
 
 def least_squares(parts: Sequence[Statistics]) -> Fit:
@@ -328,16 +330,17 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
             f'{", ".join(structure.labels[:4])} and all others are not identifiable from '
             'these recordings: nothing moves. Excite all six directions.')
     x = inverse @ normal[:-1, -1]
-    r = np.append(x, -1.0)
+    r = np.append(x, -1.0)  # [L c] r is the residual wrench
     values, axes = np.linalg.eigh(np.einsum('p,ipjq,q->ij', r, products, r))
-    squares = axes * np.maximum(values, 0.0) @ axes.T  # of the residual wrench, after rounding
+    squares = axes * np.maximum(values, 0.0) @ axes.T  # (6, 6) of residuals, without rounding
     meat = np.einsum('ij,ipjq->pq', W @ squares @ W, products)[:-1, :-1] / used
     freedom = 6.0 * sum(each.windows for each in parts) - len(x)
-    covariance = inverse @ meat @ inverse * (6.0 * used / freedom if freedom > 0.0 else np.inf)
-    energy = _energy_of_noise(parts, W)
-    is_identifiable = is_separable & (energy * np.diag(inverse) < MAJORITY) & (
-        np.sqrt(np.diag(covariance)) <= MAX_RELATIVE_ERROR * structure.sizes(
-            *structure.matrices(x)))
+    inflation = 6.0 * used / freedom if freedom > 0.0 else np.inf
+    covariance = inverse @ meat @ inverse * inflation  # of residuals with any covariance
+    is_above_noise = _energy_of_noise(parts, W) * np.diag(inverse) < MAJORITY
+    sizes = structure.sizes(*structure.matrices(x))
+    is_accurate = np.sqrt(np.diag(covariance)) <= MAX_RELATIVE_ERROR * sizes
+    is_identifiable = is_separable & is_above_noise & is_accurate
     return Fit(
         method='least_squares',
         structure=structure.name,
@@ -347,13 +350,18 @@ def least_squares(parts: Sequence[Statistics]) -> Fit:
         samples_rejected=sum(each.rejected for each in parts),
         condition_number=condition,
         residual_rms=np.sqrt(np.diag(squares) / used),
-        notes=tuple(
-            not_identifiable(label, structure, 'its standard error is half of itself, or larger')
-            for label, is_known in zip(structure.labels, is_identifiable, strict=True)
-            if not is_known) if is_identifiable.any() else (
-                Finding('not_identifiable', Level.WARN, {
-                    'label': 'Each entry of K and P', 'why': 'the recordings are too short',
-                    'how': 'Record longer'}),))
+        notes=_unidentifiable(structure, is_identifiable))
+
+
+def _unidentifiable(structure: Structure, is_identifiable: Mask) -> tuple[Finding, ...]:
+    """Return the findings on unidentifiable parameters (2 n,); on all of them at once a single."""
+    if not is_identifiable.any():
+        return (Finding('not_identifiable', Level.WARN, {
+            'label': 'Each entry of K and P', 'why': 'the recordings are too short',
+            'how': 'Record longer'}),)
+    unknown = [structure.labels[i] for i in np.flatnonzero(~is_identifiable)]
+    return tuple(not_identifiable(
+        label, structure, 'its standard error is half of itself, or larger') for label in unknown)
 
 
 def regularised(covariance: Array) -> Array:

@@ -178,14 +178,17 @@ def lookup(name: str) -> Parameter:
 
 def _nearest(name: str) -> str:
     """Return a hint with the nearest name, the names of the group, or all groups."""
-    (group, _, leaf), names = name.rpartition('.'), [*PARAMETERS]
-    inside = [other for other in names if other.startswith(f'{name}.')]
-    in_group = inside or [other for other in names if group and other.startswith(f'{group}.')]
-    leaves = {} if in_group else {o.rpartition('.')[2]: o for o in reversed(names)}
-    similar = [] if inside else get_close_matches(name, in_group or names, 1, MIN_SIMILARITY)
-    similar += [leaves[word] for word in get_close_matches(leaf, leaves, 1, MIN_SIMILARITY)]
-    if similar:
-        return f"Did you mean '{similar[0]}'?"
-    known = in_group or dict.fromkeys(
-        f'{other.partition(".")[0]}.*' for other in names if '.' in other)
+    group, _, leaf = name.rpartition('.')
+    known = [other for other in PARAMETERS if other.startswith(f'{name}.')]  # name is a group
+    if not known:
+        known = [other for other in PARAMETERS if group and other.startswith(f'{group}.')]
+        similar = get_close_matches(name, known or PARAMETERS, 1, MIN_SIMILARITY)
+        if not (known or similar):  # in another group
+            leaves = {other.rpartition('.')[2]: other for other in reversed([*PARAMETERS])}
+            similar = [leaves[word] for word in get_close_matches(leaf, leaves, 1, MIN_SIMILARITY)]
+        if similar:
+            return f"Did you mean '{similar[0]}'?"
+    if not known:
+        known = [*dict.fromkeys(
+            f'{other.partition(".")[0]}.*' for other in PARAMETERS if '.' in other)]
     return f"Known are {', '.join(known)}; 'bellows parameters' lists them all."

@@ -222,8 +222,8 @@ def _excursion(
                           for each in (first, total))
             is_near = abs(j - i) <= SIDE_SAMPLES and (
                 jumps.strength[j] >= 0.5 * jumps.steps[j] ** 2)
-            if cancels and (is_near or (
-                    jumps.strength[j] >= 1.0 and all(_lasts(poses, jumps, k) for k in (i, j)))):
+            if cancels and (is_near or jumps.strength[j] >= 1.0 and (
+                    _lasts(poses, jumps, i) and _lasts(poses, jumps, j))):
                 return slice(min(i, j) + 1, max(i, j) + 1)
             total += other
     return None
