@@ -207,7 +207,7 @@ def _play(
 
 def _sent(rows: Rows, writers: Mapping[str, Any], executor: Any) -> dict[bytes, int]:
     """Send messages in time; return the times (ns) at which the poses were sent, by stamp."""
-    sent, (_, of_poses) = dict[bytes, int](), TOPICS.values()
+    sent, of_poses = dict[bytes, int](), TOPICS['topics.tool_pose']
     ahead_ns = time.monotonic_ns() - rows[0][1]
     for name, log_ns, data in rows:
         while (left_ns := log_ns + ahead_ns - time.monotonic_ns()) > 0:

@@ -5,6 +5,7 @@ import io
 import re
 
 from bellows_ros.core.identification.verdict import verdict_of
+from bellows_ros.errors import BellowsError
 from bellows_ros.files.parameter_files import read_parameters
 from bellows_ros.files.results import digests
 from bellows_ros.report.build import page_of
@@ -43,7 +44,10 @@ def test_the_page_loads_nothing_and_has_what_the_command_prints(result, root):
     assert page_of(result, [root / 'bags/package.yaml']) == html
 
 
-def test_a_cup_that_cannot_be_simulated_still_has_its_page(result):
+def test_a_cup_that_cannot_be_simulated_still_has_its_page_and_no_picture(result):
     soft = dataclasses.replace(result.fit, parameters=result.fit.parameters * 5e-3)
     verdict = verdict_of(soft, result.recordings, result.cup_length, result.values)
-    assert '<svg ' not in page_of(dataclasses.replace(result, fit=soft, verdict=verdict))
+    found = dataclasses.replace(result, fit=soft, verdict=verdict)
+    assert '<svg ' not in page_of(found)
+    with pytest.raises(BellowsError, match='no recording can be simulated'):
+        found.plot()

@@ -139,10 +139,12 @@ class Structure:
     @cached_property
     def blocks(self) -> tuple[tuple[CoupledAxes, ...], ...]:
         """The blocks of each group, which hold the same parameters."""
-        return tuple(
-            tuple(tuple((AXES.index(axis.lstrip('-')), -1.0 if '-' in axis else 1.0)
-                        for axis in block.split()) for block in group.split('='))
-            for group in self.groups)
+        def coupled(block: str) -> CoupledAxes:
+            """Return the axes of a block such as 'x -ry', and their signs."""
+            return tuple((AXES.index(axis.lstrip('-')), -1.0 if '-' in axis else 1.0)
+                         for axis in block.split())
+
+        return tuple(tuple(map(coupled, group.split('='))) for group in self.groups)
 
     @cached_property
     def entries(self) -> tuple[tuple[Entry, ...], ...]:
