@@ -44,7 +44,11 @@ class Stopped(KeyboardInterrupt):
 
 @contextmanager
 def stopped_by_signals() -> Iterator[list[int]]:
-    """Raise `Stopped` at a signal, so that temporary files are removed; give the signals."""
+    """
+    Raise `Stopped` at a signal, so that temporary files are removed; give the signals.
+
+    What it interrupts in callbacks, for example while numba loads stored code, is not printed.
+    """
     received, last = list[int](), -TWICE
 
     def stop(number: int, frame: 'FrameType | None') -> None:
@@ -54,11 +58,19 @@ def stopped_by_signals() -> Iterator[list[int]]:
         if last - before > TWICE:
             raise Stopped
 
+    show = sys.unraisablehook
+
+    def show_unless_stopped(lost: 'sys.UnraisableHookArgs') -> None:
+        if not received:
+            show(lost)
+
     previous = {number: signal.signal(number, stop) for number in STOP_SIGNALS
                 if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)}
+    sys.unraisablehook = show_unless_stopped
     try:
         yield received
     finally:
+        sys.unraisablehook = show
         for number, handler in previous.items():
             signal.signal(number, signal.SIG_IGN if received else handler)
 
@@ -72,14 +84,18 @@ def guarded(work: Callable[[], int]) -> int:
     """
     if isinstance(sys.stdout, TextIOWrapper):  # for characters outside the encoding, as stderr
         sys.stdout.reconfigure(errors='backslashreplace')
-    with stopped_by_signals() as received:
-        try:
-            code = work()
-            sys.stdout.flush()  # now, as an error at the very end could not be reported
-        except BaseException as error:  # noqa: B902, BLE001 (of compiled code too)
-            if not (received or isinstance(error, KeyboardInterrupt)):
-                return _code_of(error)
-            received.append(signal.SIGINT)
+    received = list[int]()
+    try:
+        with stopped_by_signals() as received:
+            try:
+                code = work()
+                sys.stdout.flush()  # now, as an error at the very end could not be reported
+            except BaseException as error:  # noqa: B902, BLE001 (of compiled code too)
+                if not (received or isinstance(error, KeyboardInterrupt)):
+                    return _code_of(error)
+                received.append(signal.SIGINT)
+    except KeyboardInterrupt:  # while an error is reported, or the handlers are restored
+        received.append(signal.SIGINT)
     if not received:
         return code
     how = 'Interrupted' if received[0] == signal.SIGINT else (

@@ -7,13 +7,15 @@ with equal results. Steps that need whole recordings read them in this process.
 
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, ExitStack, nullcontext
 from dataclasses import replace
 from functools import partial
 import importlib
 import logging
 from operator import itemgetter
 import os
+import signal
+import threading
 from typing import Any
 
 from bellows_ros.core import configure_process, usable_cores
@@ -363,11 +365,29 @@ class Cluster(Pool):
 def processes(count: int) -> Iterator[Cluster]:
     """Yield the recordings of a number of processes of this machine."""
     distributed = _distributed('--jobs')
-    with importlib.import_module('dask').config.set(SETTINGS), distributed.LocalCluster(
-            n_workers=count, threads_per_worker=1, memory_limit=0, host='127.0.0.1',
-            dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL,
-    ) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+    with importlib.import_module('dask').config.set(SETTINGS), ExitStack() as stack:
+        with signals_deferred():  # a cluster that is interrupted while it starts cannot be closed
+            cluster = stack.enter_context(distributed.LocalCluster(
+                n_workers=count, threads_per_worker=1, memory_limit=0, host='127.0.0.1',
+                dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL))
+            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
         yield Cluster(distributed, client)
+
+
+@contextmanager
+def signals_deferred() -> Iterator[None]:
+    """Let the signals that end a process wait until the block is left; nothing in a thread."""
+    received, previous = list[int](), dict[int, Any]()
+    if threading.current_thread() is threading.main_thread():
+        previous = {number: signal.signal(number, lambda got, frame: received.append(got))
+                    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        for number in received[:1]:
+            signal.raise_signal(number)
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from bellows_ros.exits import guarded
 from bellows_ros.files.atomic import PREFIX
 from bellows_ros.report.console import Console
 from bellows_ros.report.text import column, with_error
+from bellows_ros.workflows.identify import signals_deferred
 from bellows_ros.workflows.settings import parse_override
 import pytest
 
@@ -187,3 +188,48 @@ def test_after_a_signal_every_end_is_that_interruption(error, capsys, handlers):
 
     assert guarded(work) == 143
     assert 'defect' not in capsys.readouterr().err
+
+
+def test_a_signal_while_the_handlers_are_restored_is_that_interruption(
+        monkeypatch, capsys, handlers):
+    """Nothing of it is printed, and the exit code is not that of a crash."""
+    restore = signal.signal
+
+    def interrupted(number, handler):
+        if handler is signal.default_int_handler:
+            signal.raise_signal(number)  # the handler of the work is still there
+        return restore(number, handler)
+
+    restore(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(signal, 'signal', interrupted)
+    assert guarded(lambda: 0) == 130
+    assert 'Traceback' not in capsys.readouterr().err
+
+
+def test_a_signal_in_a_callback_is_not_printed(capsys, handlers):
+    """Python prints what a callback raises, as those of numba while it loads stored code."""
+    class Loaded:
+
+        def __del__(self):
+            signal.raise_signal(signal.SIGTERM)
+
+    def work():
+        Loaded()
+        return 0
+
+    assert guarded(work) == 143
+    assert 'Traceback' not in capsys.readouterr().err
+
+
+def test_a_signal_waits_until_the_processes_have_started(handlers):
+    """A cluster that is interrupted while it starts leaves a traceback at the end."""
+    reached = False
+
+    def work():
+        nonlocal reached
+        with signals_deferred():
+            signal.raise_signal(signal.SIGTERM)
+            reached = True
+        raise AssertionError('not interrupted')
+
+    assert guarded(work) == 143 and reached
