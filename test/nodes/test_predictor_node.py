@@ -116,6 +116,7 @@ def test_qos_of_every_topic_can_be_overridden(make_predictor):
             assert node.has_parameter(f'qos_overrides.{topic}.{kind}.{policy}'), topic
 
 
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 def test_cup_too_soft_for_the_package_is_reported_once(make_partner, capfd, monkeypatch):
     """Publish nothing and say why, once in the interval of the log."""
     monkeypatch.setattr(predictor_node, 'LOG_INTERVAL', 1e4)  # also on a busy machine

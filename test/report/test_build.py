@@ -44,6 +44,7 @@ def test_the_page_loads_nothing_and_has_what_the_command_prints(result, root):
     assert page_of(result, [root / 'bags/package.yaml']) == html
 
 
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 def test_a_cup_that_cannot_be_simulated_still_has_its_page_and_no_picture(result):
     soft = dataclasses.replace(result.fit, parameters=result.fit.parameters * 5e-3)
     verdict = verdict_of(soft, result.recordings, result.cup_length, result.values)

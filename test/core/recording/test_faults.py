@@ -148,6 +148,7 @@ def test_faults_are_seen_in_two_frames(name, seed):
     assert (found, place) == (code, body)
 
 
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 @pytest.mark.parametrize('wrong', [
     {'com': (0.0, 0.0, 0.03)}, {'mass': 1800.0}, {'inertia': np.diag([4.38, 6.54, 9.84])},
     {}])

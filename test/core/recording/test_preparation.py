@@ -31,7 +31,7 @@ WINDOWS = {f'{body}_{name}': size for body in ('tool', 'package')
 
 def weighing(com):
     """Return a package with this centre of mass."""
-    return Package(1.0, np.eye(3), com)
+    return Package(1.0, 0.01 * np.eye(3), com)
 
 
 PLAIN = PrepareSettings(payload=weighing(COM), **WINDOWS)
