@@ -52,6 +52,9 @@ Additional time for which estimates are stored, ns, so that poses of the tool do
 propagation of a covariance (with a camera of at least 10 Hz).
 """
 
+SWING_NS = 200_000_000
+"""Time after a start in which poses may contradict its swing, ns: the start is stored longer."""
+
 SILENT_PERIODS = 2.5
 """Number of periods after which a sensor is silent; the period of a camera is the shorter of the
 last two."""
@@ -371,7 +374,9 @@ class Observer:
             self._apply(measurements[k], k > first or not has_new)
         for alarm in signals:
             self._raise(alarm)
-        if self._error_at and estimates[-1].gated_ns and estimates[0].evidence.seen is None:
+        if self._error_at and estimates[0].evidence.seen is None and any(
+                each.gated_ns and each.stamp_ns - estimates[0].stamp_ns < SWING_NS
+                for each in estimates[first + 1:]):
             self._begin_again(None)
             return
         last = self._correction.released(estimates[-1]) if self._has_left else estimates[-1]
