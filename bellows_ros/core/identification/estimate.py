@@ -59,9 +59,9 @@ GROSS_CHI2 = 4.0
 """Smallest chi^2 per difference of a misfit for which no likeliest path is searched, and of a
 disagreement of standstills: deviations are twice the noise."""
 
-TOLERANCES = 3.0, 3e-3
+TOLERANCES = 3.0, 1e-2
 """Squared length of a step at the end of each stage, squared standard errors: K and P then move by
-some and by 5 % of a standard error."""
+some and by 10 % of a standard error."""
 
 LOOSE_TOLERANCE = 0.1
 """Largest squared length of the last step, as barely identifiable numbers keep oscillating, in
@@ -216,7 +216,8 @@ class Solution:
     def freed(self, more: Free, structure: Structure | None = None) -> 'Solution':
         """Return the start of a problem with more free quantities, with equal cup and courses."""
         wide = self.problem.freed(self.theta, more, structure)
-        return evaluated(wide, wide.transferred(self.problem, self.theta), self.courses)
+        return evaluated(wide, wide.transferred(self.problem, self.theta),
+                         self.courses.pool.keep(_without_unknowns, self.courses))
 
     def estimate(self, name: str) -> tuple[Array, Array]:
         """Return the estimate of a free quantity, SI units, with its standard errors."""
@@ -254,6 +255,11 @@ class Solution:
         """
         return {number: std for number, std in enumerate(self.of_each(_noise_in_motion))
                 if std is not None}
+
+
+def _without_unknowns(courses: Sequence[Course]) -> tuple[Course, ...]:
+    """Return courses whose noise follows no unknowns, for a problem with others."""
+    return tuple(course._replace(theta=np.zeros(0)) for course in courses)
 
 
 def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> float:

@@ -20,6 +20,10 @@ this is output error; with noisy ones, the sum of squares is the minimum over al
 Derivatives are differences of simulations along the likeliest path, without the frequencies at
 which it is noise (instrumental variables): derivatives with the noise that also is in the numbers
 would have a mean product with them, and bias the damping.
+
+The likeliest path follows the unknowns (variable projection): with a moving cup G is only nearly
+the response of the package, so that a path takes up part of what wrong unknowns do. Derivatives
+include this, as otherwise they promise more information than there is.
 """
 
 from dataclasses import replace
@@ -32,6 +36,7 @@ from bellows_ros.core.identification.segments import (
     Course,
     in_threads,
     MIN_POSE_STD,
+    moved,
     noise_spectrum,
     ROW_NS,
     Segment,
@@ -264,38 +269,39 @@ def simulated(
 
 
 def simulation_of(
-    problem: Problem, theta: Array, segment: Segment, course: Course
+    problem: Problem, theta: Array, segment: Segment, course: Course, shifts: Array
 ) -> tuple[Array, Array]:
     """
     Return the package's states (M, 13) at the rows, and derivatives (M, 6, q + 12) of its poses.
 
     The derivatives are in body axes, by the unknowns and the first state, along a smooth path:
-    the response to noise of the tool would agree with the same noise in the differences.
+    the response to noise of the tool would agree with the same noise in the differences. The path
+    shifts with each unknown (M, 12, q).
     """
     steps = int(equilibrium.substeps_for(
         ROW_NS / NS_PER_S, model_step(problem, theta, segment)))
-    moving = [j for name, row in problem.rows.items() if name not in SENSED for j in row]
-    if 'com' in problem.rows:
-        moving = sorted({*moving, *problem.rows['com']})
     size = len(theta)
-    changes = np.zeros((problem.count + len(moving) + 12, size + 12))
-    places = [*range(problem.count), *moving, *range(size, size + 12)]
     lengths = np.concatenate([
-        np.full(problem.count, DIFFERENCE), np.full(len(moving), QUANTITY_DIFFERENCE),
+        np.full(problem.count, DIFFERENCE), np.full(size - problem.count, QUANTITY_DIFFERENCE),
         DIFFERENCE * START_STD])
-    changes[np.arange(len(places)), places] = lengths
+    is_simulated = np.ones(size, dtype=bool)
+    for name in SENSED & problem.rows.keys():
+        is_simulated[problem.rows[name]] = False
 
     def run(tool: Array, change: Array) -> Array:
-        return simulated(problem, theta + change[:size], segment, tool,
-                         course.start + change[size:], steps)
+        return simulated(problem, theta + np.where(is_simulated, change[:size], 0.0), segment,
+                         tool, course.start + change[size:], steps)
 
     unchanged, smooth_tool = np.zeros(size + 12), segment.smooth(course.rows)
+    tools = [course.rows, smooth_tool] + [
+        moved(smooth_tool, lengths[place] * shifts[:, :, place]) for place in range(size)
+    ] + [smooth_tool] * 12
     states, smooth, *others = in_threads(
-        run, [course.rows, *[smooth_tool] * (1 + len(changes))], [unchanged, unchanged, *changes])
+        run, tools, [unchanged, unchanged, *np.diag(lengths)])
     columns = np.zeros((len(smooth), 6, size + 12))
     inverse = np.swapaxes(lie.quaternion_to_rotation(smooth[:, 3:7]), 1, 2)
     conjugate = lie.quaternion_conjugate(smooth[:, 3:7])
-    for place, length, other in zip(places, lengths, others, strict=True):
+    for place, (length, other) in enumerate(zip(lengths, others, strict=True)):
         columns[:, :3, place] = lie.apply(inverse, other[:, :3] - smooth[:, :3]) / length
         turn = lie.quaternion_product(conjugate, other[:, 3:7])
         columns[:, 3:, place] = 2.0 * turn[:, :3] * np.sign(turn[:, 3:]) / length
@@ -303,7 +309,7 @@ def simulation_of(
 
 
 SENSED = frozenset({
-    'com', 'time_offset', 'clock_rate', 'package_world', 'package_marker', 'scale', 'exposure'})
+    'time_offset', 'clock_rate', 'package_world', 'package_marker', 'scale', 'exposure'})
 """Quantities of the measured poses, which the simulation is without."""
 
 
@@ -321,7 +327,10 @@ def at_stamps(rows_ns: Stamps, values: Array, stamps: Stamps) -> Array:
 
 def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) -> Part:
     """Return a segment's whitened differences, linearised about a course; theta is local."""
-    states, columns = simulation_of(problem, theta, segment, course)
+    filters = Filters.of(problem, theta, segment, course)
+    course = _followed(course, theta, segment, filters)
+    states, columns = simulation_of(
+        problem, theta, segment, course, -_of_path(segment, filters, course.noise_by_theta))
     stamps = delayed(segment.package.stamps_ns, problem.values(theta), segment.middle)
     used = (stamps >= segment.rows_ns[0]) & (stamps <= segment.rows_ns[-1])
     place = (segment.package.stamps_ns - segment.bins_ns[0] + segment.bin_ns // 2) // (
@@ -338,7 +347,8 @@ def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) 
     if problem.has_views(segment):
         seen = _seen(problem, theta, segment, course, chosen, package, bend)
         J = at_stamps(segment.rows_ns, columns, stamps)
-        return _part(problem, theta, segment, *_whitened_views(seen, J, course, starts), bins)
+        return _part(
+            problem, segment, *_whitened_views(seen, J, course, starts), bins, filters)
     e, own = _differences(problem, theta, segment, chosen, package, bend)
     counts = np.diff(starts, append=len(chosen))
 
@@ -348,8 +358,25 @@ def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) 
     J = at_stamps(segment.rows_ns, columns, stamps[0] + np.rint(
         means(stamps - stamps[0])).astype(np.int64))
     J[:, :, :len(theta)] += means(own)
-    return _part(problem, theta, segment, course, Numbers(
-        means(e), J, means(e), 0.0, np.empty(0)), bins)
+    return _part(problem, segment, course, Numbers(
+        means(e), J, means(e), 0.0, np.empty(0)), bins, filters)
+
+
+def _of_path(segment: Segment, filters: Filters, noise: Array) -> Array:
+    """Return the change (M, 12, q) of the rows of a path by noise (B, 6, q) at the bins."""
+    return np.hstack([
+        at_stamps(segment.bins_ns, filtered(response[:, None, None] * np.eye(6), noise),
+                  segment.rows_ns) for response in filters.path])
+
+
+def _followed(course: Course, theta: Array, segment: Segment, filters: Filters) -> Course:
+    """Return the course with the noise that follows the unknowns, to first order."""
+    if len(course.theta) != len(theta):  # of a problem with other unknowns
+        return course._replace(
+            theta=theta, noise_by_theta=np.zeros((len(segment.bins_ns), 6, len(theta))))
+    noise = course.noise + course.noise_by_theta @ (theta - course.theta)
+    rows = segment.moved(-_of_path(segment, filters, noise[..., None])[..., 0])
+    return course._replace(rows=rows, noise=noise, theta=theta)
 
 
 class Numbers(NamedTuple):
@@ -436,34 +463,33 @@ def _spread(values: Array, known: Places, count: int) -> Array:
 
 
 def _part(
-    problem: Problem, theta: Array, segment: Segment, course: Course, numbers: Numbers,
-    known: Places,
+    problem: Problem, segment: Segment, course: Course, numbers: Numbers, known: Places,
+    filters: Filters,
 ) -> Part:
     """Return the numbers of a sensor at known bins (K,), whitened in the frequency domain."""
-    count, filters = len(segment.bins_ns), Filters.of(problem, theta, segment, course)
-    values = _spread(numbers.values, known, count) - filtered(
-        filters.response, course.noise[..., None])[..., 0]
-    white = filtered(filters.whitening, np.concatenate([
-        values[..., None], _spread(numbers.derivatives, known, count)], axis=2))[known]
+    count, size = len(segment.bins_ns), len(course.theta)
+    series = _spread(np.concatenate(
+        [numbers.values[..., None], numbers.derivatives], axis=2), known, count)
+    noise = np.concatenate([course.noise[..., None], -course.noise_by_theta], axis=2)
+    series[..., :1 + size] -= filtered(filters.response, noise)
+    white = filtered(filters.whitening, series)[known]
     found = _weighted(white[..., 0], white[..., 1:], course.start)
-    explaining = np.zeros((count, 6))
-    explaining[known] = found.weights * found.explained
-    likeliest = course.noise + PATH_PART * (
-        filtered(filters.likeliest, explaining[..., None])[..., 0] - course.noise)
-    on_rows = [at_stamps(segment.bins_ns, filtered(
-        -path[:, None, None] * np.eye(6), likeliest[..., None])[..., 0], segment.rows_ns)
-        for path in filters.path]
+    explaining = np.zeros((count, 6, 1 + size))
+    explaining[known] = found.weights[..., None] * np.concatenate(
+        [found.explained[..., None], found.derivatives], axis=2)
+    likeliest = noise + PATH_PART * (filtered(filters.likeliest, explaining) - noise)
+    rows = segment.moved(-_of_path(segment, filters, likeliest[..., :1])[..., 0])
     std = course.std
     if not problem.has_views(segment):
-        squares = values[known] ** 2
+        squares = series[known, :, 0] ** 2
         total = np.mean(np.minimum(
             squares, CHANCE**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
         std = np.maximum(
             np.sqrt(np.maximum(total - filters.of_tool, 0.1 * total)), MIN_POSE_STD)
     return Part(
         found.innovations, numbers.residuals, numbers.logs + filters.logs * len(known),
-        course._replace(
-            rows=segment.moved(np.hstack(on_rows)), noise=likeliest, start=found.start),
+        course._replace(rows=rows, noise=likeliest[..., 0], start=found.start,
+                        noise_by_theta=-likeliest[..., 1:]),
         std, *_blocks(found.derivatives, found.explained, segment.bin_ns / NS_PER_S),
         numbers.smear)
 

@@ -97,6 +97,10 @@ class Course(NamedTuple):
         Noise of the corners of a tag.
     by_pose : ndarray (6, 6)
         Mean derivative of a sensor's numbers by the pose of the package; one for a body.
+    theta : ndarray (q,)
+        Unknowns of the recording with which the noise is the likeliest; (0,) as measured.
+    noise_by_theta : ndarray (B, 6, q)
+        Derivative of the noise by the unknowns.
 
     """
 
@@ -106,6 +110,8 @@ class Course(NamedTuple):
     std: Array
     corners: CornerNoise = USUAL_NOISE
     by_pose: Array = np.eye(6)
+    theta: Array = np.zeros(0)
+    noise_by_theta: Array = np.zeros((0, 6, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +268,8 @@ class Segment:
                       self.package_noise.std, self.views.tag.noise if self.views else USUAL_NOISE)
 
     def moved(self, shift: Array) -> Array:
-        """Return rows of the tool after a change (M, 12) of its path, see `_moved`."""
-        return _moved(self.rows, shift)
+        """Return rows of the tool after a change (M, 12) of its path, see `moved`."""
+        return moved(self.rows, shift)
 
     def smooth(self, rows: Array) -> Array:
         """
@@ -281,10 +287,10 @@ class Segment:
         count = np.arange(len(rows))
         to_end = period * self.band * np.minimum(count, count[::-1])
         noise = _above(self.band, np.hstack([travelled, rows[:, 7:]]), period)
-        return _moved(rows, -noise * np.minimum(to_end, 1.0)[:, None])
+        return moved(rows, -noise * np.minimum(to_end, 1.0)[:, None])
 
 
-def _moved(rows: Array, shift: Array) -> Array:
+def moved(rows: Array, shift: Array) -> Array:
     """
     Return states (M, 13) of the tool after a change (M, 12) of its path.
 

@@ -192,6 +192,25 @@ def test_differences_of_the_truth_are_white_and_of_unit_variance(tool_noise, pac
     require_white(settled(posed(own)))
 
 
+def test_the_likeliest_path_takes_nothing_from_the_step_to_the_unknowns():
+    """Of a cup that moves much, so that its response is not that of its rest."""
+    problem = posed(measured(5, CAPTURE, CAPTURE, 120.0, 120.0))
+    start = evaluated(problem, problem.start, measured_courses(problem))
+    stds = np.sqrt(start.information.variances)
+
+    def step_from(theta):
+        at = evaluated(problem, theta, measured_courses(problem))
+        for _ in range(6):
+            at = evaluated(problem, theta, renewed(at)[0])
+        return at.information.solve(at.slope)
+
+    there = step_from(problem.start)
+    for number in range(len(stds)):
+        moved = problem.start + 2.0 * stds * np.eye(len(stds))[number]
+        back = (step_from(moved) - there)[number] / stds[number]
+        assert -2.4 < back < -1.4, number  # -0.8 with derivatives along a fixed path
+
+
 def seen_as_tag(own):
     """Return a recording with the corners of a tag of 80 mm, 1.2 m from a camera."""
     camera = transform(exp_so3(np.array([0.0, -0.5 * np.pi, 0.0])), own.package.position.mean(

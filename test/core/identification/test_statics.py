@@ -8,7 +8,7 @@ from bellows_ros.core.identification.statics import cup_length_of
 from bellows_ros.core.identification.unknowns import Problem, weak_prior
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import STRUCTURES
-from bellows_ros.core.recording.recording import Noise
+from bellows_ros.core.recording.recording import PoseNoise
 from bellows_ros.core.recording.standstills import Standstill, standstills_of
 from bellows_ros.core.signals.trajectory import Trajectory
 from bellows_ros.errors import BellowsError, UnexplainedError
@@ -43,7 +43,7 @@ def upright(length, mass, tilt=0.0, error=1e-6):
     at = np.array([0])
     tool = Trajectory(at, np.zeros((1, 3)), R)
     package = Trajectory(at, (R[0] @ (com - [0.0, 0.0, length]))[None], R)
-    return Standstill(0, 1.0, tool, package, 100, Noise(error, error), replace(
+    return Standstill(0, 1.0, tool, package, 100, PoseNoise(error, error), replace(
         PLATE, mass=mass))  # at rest its inertia takes no part
 
 
