@@ -62,28 +62,38 @@ from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 
 
+class Responses(NamedTuple):
+    """
+    Responses to noise of the tool's poses at F frequencies of a padded series.
+
+    Those of the package (F, 6, 6), in body axes, and of the path and its slope (2, F).
+    """
+
+    package: Array
+    path: Array
+
+
 class Filters(NamedTuple):
     """
     Filters of a sensor's numbers at F frequencies of a padded series.
 
-    Response (F, 6, 6) of the numbers to noise of the tool, responses (2, F) of the path and its
-    slope to that noise, filter (F, 6, 6) to white noise of variance 1, and filter (F, 6, 6) from
-    white noise to the likeliest noise of the tool, m and rad; variances (6,) by the tool, and sum
-    of the logarithms of all variances of a series.
+    Response (F, 6, 6) of the numbers to noise of the tool, filter (F, 6, 6) to white noise of
+    variance 1, and filter (F, 6, 6) from white noise to the likeliest noise of the tool, m and
+    rad; variances (6,) by the tool, and sum of the logarithms of all variances of a series.
     """
 
     response: Array
-    path: Array
     whitening: Array
     likeliest: Array
     of_tool: Array
     logs: float
 
     @classmethod
-    def of(cls, problem: Problem, theta: Array, segment: Segment, course: Course) -> 'Filters':
-        """Return the filters of a segment about its first rest; theta is local."""
+    def of(
+        cls, problem: Problem, segment: Segment, course: Course, of_package: Array
+    ) -> 'Filters':
+        """Return the filters of a segment from the response (F, 6, 6) of the package."""
         period, (padded, frequency) = segment.bin_ns / NS_PER_S, _frequencies(segment)
-        of_package, path = _responses(problem, theta, segment, course, frequency)
         response = course.by_pose @ of_package
         of_tool = noise_spectrum(segment.tool_noise, segment.tool_period, frequency) / period
         of_sensor = np.ones((len(frequency), 6))  # of white views
@@ -94,7 +104,7 @@ class Filters(NamedTuple):
         root = np.linalg.inv(np.linalg.cholesky(by_tool + of_sensor[:, :, None] * np.eye(6)))
         logs = -4.0 * float(np.sum(np.log(np.abs(np.einsum('fii->fi', root)))))
         return cls(
-            response, path, root, -of_tool[:, :, None] * _adjoint(response) @ _adjoint(root),
+            response, root, -of_tool[:, :, None] * _adjoint(response) @ _adjoint(root),
             np.mean(np.einsum('fii->fi', by_tool).real, axis=0), logs / padded)
 
 
@@ -105,10 +115,9 @@ def _frequencies(segment: Segment) -> tuple[int, Array]:
     return padded, np.asarray(np.fft.rfftfreq(padded, period), np.float64)
 
 
-def _responses(
-    problem: Problem, theta: Array, segment: Segment, course: Course, frequency: Array
-) -> tuple[Array, Array]:
-    """Return the responses of package and path to noise of the tool, see `Filters`."""
+def _responses(problem: Problem, theta: Array, segment: Segment, course: Course) -> Responses:
+    """Return the responses of a segment about its first rest; theta is local."""
+    _, frequency = _frequencies(segment)
     model = problem.model(theta, segment)
     plain: ModelTuple = (model[0][:4], *model[1:])  # without internal strains
     tool = np.append(course.rows[0, :7], np.zeros(6))
@@ -122,7 +131,7 @@ def _responses(
     iw = iw[:, None, None]
     G = np.linalg.solve(iw**2 * np.eye(6) - iw * by.body_twist - by.body_pose,
                         (mean * path[0])[:, None, None] * (by.tool_pose + iw * by.tool_twist))
-    return np.asarray(G), np.asarray(path)
+    return Responses(np.asarray(G), np.asarray(path))
 
 
 def _adjoint(matrices: Array) -> Array:
@@ -327,10 +336,10 @@ def at_stamps(rows_ns: Stamps, values: Array, stamps: Stamps) -> Array:
 
 def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) -> Part:
     """Return a segment's whitened differences, linearised about a course; theta is local."""
-    filters = Filters.of(problem, theta, segment, course)
-    course = _followed(course, theta, segment, filters)
+    responses = _responses(problem, theta, segment, course)
+    course = _followed(course, theta, segment, responses)
     states, columns = simulation_of(
-        problem, theta, segment, course, -_of_path(segment, filters, course.noise_by_theta))
+        problem, theta, segment, course, -_of_path(segment, responses, course.noise_by_theta))
     stamps = delayed(segment.package.stamps_ns, problem.values(theta), segment.middle)
     used = (stamps >= segment.rows_ns[0]) & (stamps <= segment.rows_ns[-1])
     place = (segment.package.stamps_ns - segment.bins_ns[0] + segment.bin_ns // 2) // (
@@ -348,7 +357,7 @@ def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) 
         seen = _seen(problem, theta, segment, course, chosen, package, bend)
         J = at_stamps(segment.rows_ns, columns, stamps)
         return _part(
-            problem, segment, *_whitened_views(seen, J, course, starts), bins, filters)
+            problem, segment, *_whitened_views(seen, J, course, starts), bins, responses)
     e, own = _differences(problem, theta, segment, chosen, package, bend)
     counts = np.diff(starts, append=len(chosen))
 
@@ -359,23 +368,25 @@ def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) 
         means(stamps - stamps[0])).astype(np.int64))
     J[:, :, :len(theta)] += means(own)
     return _part(problem, segment, course, Numbers(
-        means(e), J, means(e), 0.0, np.empty(0)), bins, filters)
+        means(e), J, means(e), 0.0, np.empty(0)), bins, responses)
 
 
-def _of_path(segment: Segment, filters: Filters, noise: Array) -> Array:
+def _of_path(segment: Segment, responses: Responses, noise: Array) -> Array:
     """Return the change (M, 12, q) of the rows of a path by noise (B, 6, q) at the bins."""
     return np.hstack([
         at_stamps(segment.bins_ns, filtered(response[:, None, None] * np.eye(6), noise),
-                  segment.rows_ns) for response in filters.path])
+                  segment.rows_ns) for response in responses.path])
 
 
-def _followed(course: Course, theta: Array, segment: Segment, filters: Filters) -> Course:
+def _followed(
+    course: Course, theta: Array, segment: Segment, responses: Responses
+) -> Course:
     """Return the course with the noise that follows the unknowns, to first order."""
     if len(course.theta) != len(theta):  # of a problem with other unknowns
         return course._replace(
             theta=theta, noise_by_theta=np.zeros((len(segment.bins_ns), 6, len(theta))))
     noise = course.noise + course.noise_by_theta @ (theta - course.theta)
-    rows = segment.moved(-_of_path(segment, filters, noise[..., None])[..., 0])
+    rows = segment.moved(-_of_path(segment, responses, noise[..., None])[..., 0])
     return course._replace(rows=rows, noise=noise, theta=theta)
 
 
@@ -464,10 +475,11 @@ def _spread(values: Array, known: Places, count: int) -> Array:
 
 def _part(
     problem: Problem, segment: Segment, course: Course, numbers: Numbers, known: Places,
-    filters: Filters,
+    responses: Responses,
 ) -> Part:
     """Return the numbers of a sensor at known bins (K,), whitened in the frequency domain."""
     count, size = len(segment.bins_ns), len(course.theta)
+    filters = Filters.of(problem, segment, course, responses.package)
     series = _spread(np.concatenate(
         [numbers.values[..., None], numbers.derivatives], axis=2), known, count)
     noise = np.concatenate([course.noise[..., None], -course.noise_by_theta], axis=2)
@@ -478,7 +490,7 @@ def _part(
     explaining[known] = found.weights[..., None] * np.concatenate(
         [found.explained[..., None], found.derivatives], axis=2)
     likeliest = noise + PATH_PART * (filtered(filters.likeliest, explaining) - noise)
-    rows = segment.moved(-_of_path(segment, filters, likeliest[..., :1])[..., 0])
+    rows = segment.moved(-_of_path(segment, responses, likeliest[..., :1])[..., 0])
     std = course.std
     if not problem.has_views(segment):
         squares = series[known, :, 0] ** 2
