@@ -54,6 +54,7 @@ def test_no_parameter_changes_if_one_is_rejected(stiffness, damping, named, orde
     assert node.values is kept and used(node) == before
 
 
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 def test_values_are_used_at_once_and_doubts_are_logged(node, caller, capfd):
     """Both ends of a range in one call; nothing anew for dumped values; a cup opened, closed."""
     assert caller.set_at_once(vacuum__thresholds=[96e3, 98e3])[0]
@@ -81,6 +82,7 @@ def test_values_are_used_at_once_and_doubts_are_logged(node, caller, capfd):
     ('tool_link', 'a\x1b[31mb', r"'a\x1b[31mb'"), ('tool_twist.frame', 'tool', ''),
     ('bags', ['a'], ''), ('wrench.frame', '1e300 0 0 0 0 0 1', 'wrench.frame'),
     ('gripper.com', [-1e6] * 3, 'gripper.com')])
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 def test_a_bad_value_is_refused_in_words(name, value, named, node, caller):
     """In printable characters, before it is in use; the node goes on."""
     before = node.values

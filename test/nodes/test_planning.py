@@ -185,6 +185,7 @@ def test_a_newer_plan_replaces_one_that_takes_long(planner):
     assert planner.planning.status is None and not predictor.failures
 
 
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 def test_a_package_too_heavy_for_its_cup_does_not_fail_the_warm_up(partner):
     """Refuse its plan, and answer as soon as the package can be held."""
     predictor = partner.predictor

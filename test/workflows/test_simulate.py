@@ -150,6 +150,7 @@ MASSLESS = {name: value for name, value in PARAMETERS.items() if name != 'packag
         ({'tool.outliers': {'count': 2}}, "'tool.outliers.position'"),
         ({'duration': 3600.0}, r'8\.9e\+06 .*5e\+06'),
         ({'multi_sine.position.x.amplitude': [30.0]}, '245 m/s')))])
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 def test_errors_leave_no_files(tmp_path, parameters, content, named):
     with pytest.raises(BellowsError, match=named):
         simulate_recording(parameters, content, tmp_path / 'bag')

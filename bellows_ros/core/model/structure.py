@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
+import math
 
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import adjoint, transform
@@ -473,7 +474,7 @@ def unit_doubts(
         doubts.append(
             f'package.mass is {mass:g} kg; cups of this kind carry {MIN_MASS:g} to '
             f'{MAX_MASS:g} kg. Is it in another unit?')
-    gyration = float(np.sqrt(np.sum(moments) / mass))
+    gyration = math.sqrt(float(np.sum(moments))) / math.sqrt(mass)  # also of the smallest mass
     if gyration > MAX_GYRATION:
         doubts.append(
             f'package.inertia has a radius of gyration of {gyration:.3g} m; expected up to '

@@ -33,6 +33,7 @@ def test_inertia_no_body_can_have_is_refused(inertia, figures):
 @pytest.mark.parametrize(('largest', 'std', 'is_taken'), [
     (2.003, 0.0, False), (2.1, -1.0, True), (2.15, -1.0, False),
     (2.15, 0.1, True)])
+@pytest.mark.filterwarnings('ignore::bellows_ros.errors.UnitWarning')
 def test_an_inertia_impossible_within_its_uncertainty_becomes_the_nearest(largest, std, is_taken):
     values = resolve({
         'package.mass': 1.0, 'package.com': [0.0, 0.0, -0.03],
