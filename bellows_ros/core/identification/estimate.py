@@ -2,10 +2,10 @@
 Search for K and P with which the model, driven by the tool, reproduces all poses.
 
 The first stage begins at the best of several stiffnesses, and follows the measured path of the
-tool, with trust regions about the unknowns. In
-the second stage the steps are Gauss-Newton steps, and the path of the tool and the noise of slow
-poses are renewed with each: with derivatives along the likeliest path the mean of the steps is
-zero at the truth, unlike the gradient of chi² along the measured one.
+tool, with trust regions about the unknowns. In the second stage the steps are Gauss-Newton steps,
+and the path of the tool and the noise of slow poses are renewed with each: with derivatives along
+the likeliest path the mean of the steps is zero at the truth, unlike the gradient of chi² along
+the measured one.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -306,8 +306,9 @@ def _best_start(problem: Problem) -> Solution:
     """
     Return the best of the initial guesses whose stiffness is scaled, with ordinary damping.
 
-    The sum of squares has a minimum wherever a mode of the model meets another one of the motion,
-    and steps lead to the nearest. Each sum is that at the best other unknowns, to first order.
+    The sum of squares has a minimum wherever a mode of the model meets another mode of the
+    package's motion, and steps lead to the nearest minimum. The sums compared are those at the
+    best values of the other unknowns, to first order.
 
     Raises
     ------
@@ -329,7 +330,7 @@ def _best_start(problem: Problem) -> Solution:
         information, slope = _tempered(at)
         others = np.arange(len(slope)) >= problem.count
         squares = at.total.squares - information.fall(slope, others)
-        if best is None or squares < least:
+        if best is None or squares < least or math.isnan(least):  # nan of a diverging one
             best, least = at, squares
     if best is None:
         assert failure is not None
@@ -338,7 +339,7 @@ def _best_start(problem: Problem) -> Solution:
 
 
 def _scales(problem: Problem) -> list[float]:
-    """Return powers of two, 1 among them, with axial modes of the packages within `MODES_HZ`."""
+    """Return scales of K, powers of two with 1, for axial modes within `MODES_HZ`."""
     masses = [outline.payload.mass for outline in problem.outlines]
     mode_hz = np.sqrt(problem.guess.stiffness[2, 2] / np.median(masses)) / (2.0 * math.pi)
     low, high = (math.floor(2.0 * math.log2(limit / mode_hz)) for limit in MODES_HZ)
