@@ -7,7 +7,12 @@ import math
 from typing import Any
 
 from bellows_ros.core.findings import Finding, Level
-from bellows_ros.core.identification.estimates import com_change, Estimate, Estimates, terms_of
+from bellows_ros.core.identification.estimates import (
+    com_change,
+    Estimates,
+    ParameterEstimate,
+    terms_of,
+)
 from bellows_ros.core.identification.result import Fit
 from bellows_ros.core.identification.segments import ReducedRecording
 from bellows_ros.core.identification.verdict import (
@@ -94,7 +99,7 @@ class Identification(CommandResult):
         return self.parts[0].cup_length
 
     @property
-    def found(self) -> Mapping[str, Estimate]:
+    def found(self) -> Mapping[str, ParameterEstimate]:
         """Estimates jointly with K and P, by parameter."""
         return self.estimates.found
 
@@ -180,7 +185,7 @@ class Identification(CommandResult):
         """Findings on clocks, estimates, standstills, and changed given quantities."""
         found = [(name, self.found[name]) for name in self.estimates.asked]
         if self.static and (length := self.static.length):
-            found.append(('cup.length', Estimate(
+            found.append(('cup.length', ParameterEstimate(
                 length.length, length.total_std, 'm by loads alone')))
         return (*offset_findings(zip(self.bags, self.estimates.delays, strict=False)),
                 *(estimate_finding(name, *each) for name, each in found),

@@ -30,7 +30,7 @@ FREE_PARAMETERS = {
 """Parameter and unit of each estimated quantity of cup and package."""
 
 
-class Estimate(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """A value with its standard errors, and their unit."""
 
     value: Any
@@ -44,7 +44,7 @@ class Estimates(NamedTuple):
 
     Parameters
     ----------
-    found : mapping of str to Estimate
+    found : mapping of str to ParameterEstimate
         Estimates by parameter; empty for a search without convergence. Clock, marker and world
         are from the recording with the most certain world.
     delays : tuple of TimeOffset
@@ -54,7 +54,7 @@ class Estimates(NamedTuple):
 
     """
 
-    found: Mapping[str, Estimate]
+    found: Mapping[str, ParameterEstimate]
     delays: tuple[TimeOffset, ...]
     asked: tuple[str, ...]
 
@@ -120,7 +120,7 @@ def com_change(fit: Fit) -> Array:
 
 def _of_package(
     fit: Fit, payload: Any, length: float
-) -> Iterator[tuple[str, Estimate]]:
+) -> Iterator[tuple[str, ParameterEstimate]]:
     """Yield the estimates of a package, and of the length of a cup that was given as (m)."""
     free = {name: rows[0] for name, rows in fit.nuisances.items()}
     changed = payload_of(payload, free)
@@ -135,12 +135,12 @@ def _of_package(
         if name in ('mass', 'inertia'):  # logarithms of factors
             error = error * estimates[name][:len(error)]
         error = np.pad(error, (0, value.size - len(error)))  # products of inertia are given
-        yield parameter, Estimate(value.tolist(), np.resize(error, value.shape), unit)
+        yield parameter, ParameterEstimate(value.tolist(), np.resize(error, value.shape), unit)
 
 
 def _of_cell(
     fit: Fit, recording: Recording, number: int
-) -> Iterator[tuple[str, Estimate]]:
+) -> Iterator[tuple[str, ParameterEstimate]]:
     """Yield the estimates of scale, world, marker and tag from the recording with a number."""
     free, std = ({
         name: rows[number if KINDS[name].each else 0] for name, rows in each.items()}
@@ -148,17 +148,19 @@ def _of_cell(
     settings, world = recording.settings, recording.report.package_world
     scale = 1.0 + float(free.get('scale', np.zeros(1))[0])
     if 'scale' in std:
-        yield 'measured.scale', Estimate(recording.report.scale * scale, std['scale'][0], '1')
+        yield 'measured.scale', ParameterEstimate(
+            recording.report.scale * scale, std['scale'][0], '1')
     if world:
         pose = alignment.shifted_pose(
             world.pose, settings.R_world_recorded, middle_of(recording.tracked_package)[:3],
             free.get('package_world', np.zeros(6)))
         if settings.tag is None:
             pose[:3] *= scale
-        yield 'recording.package_world', Estimate(checks.pose_text(pose), world.std, 'm, rad')
+        yield 'recording.package_world', ParameterEstimate(
+            checks.pose_text(pose), world.std, 'm, rad')
     if 'package_marker' in free or world and settings.align_at_rest:
         shift = np.array(settings.moves_with_com) * com_change(fit)
-        yield 'measured.offset', Estimate(
+        yield 'measured.offset', ParameterEstimate(
             _marker_offset(recording, shift, free.get('package_marker', np.zeros(6))),
             std.get('package_marker', np.zeros(6)), 'm, rad')
     noise = fit.noise_in_motion.get(number)
@@ -166,9 +168,9 @@ def _of_cell(
         change = 1.0 + float(free.get('exposure', np.zeros(1))[0])
         given = settings.tag.exposure or (
             USUAL_EXPOSURE / recording.report.package.timing.rate_hz)
-        yield 'measured.noise', Estimate(
+        yield 'measured.noise', ParameterEstimate(
             [noise[0], noise[1] / max(change**2, 0.01)], np.zeros(2), 'rad, 1/rad')
-        yield 'measured.exposure', Estimate(
+        yield 'measured.exposure', ParameterEstimate(
             given * abs(change), given * std.get('exposure', np.ones(1))[0], 's')
 
 
@@ -187,7 +189,7 @@ def _marker_offset(recording: Recording, shift: Array, marker: Array) -> list[fl
 
 def _latency(
     fit: Fit, values: Values, delays: Sequence[TimeOffset], number: int
-) -> Estimate | None:
+) -> ParameterEstimate | None:
     """Return the latency of the package's poses by a recording; None if unknown or none."""
     if delays:
         delay, std = delays[number]
@@ -197,7 +199,7 @@ def _latency(
     if not delay or abs(delay) >= MAX_DELAY or not math.isfinite(std):
         return None
     before = values.measured.latency[0] if checks.is_measured(values) else 0.0
-    return Estimate([before - delay, min(std, MAX_DELAY)], np.zeros(2), 's')
+    return ParameterEstimate([before - delay, min(std, MAX_DELAY)], np.zeros(2), 's')
 
 
 def terms_of(fit: Fit, values: Values) -> dict[str, Any]:
