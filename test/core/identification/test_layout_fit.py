@@ -28,7 +28,7 @@ PLACES = np.array([[0.06, 0.05, 0.0], [-0.06, 0.03, 0.0], [0.01, -0.07, 0.0]])
 LAYOUT = given_structure(Values({
     'fit.structure': 'layout', 'cup.layout': tuple(PLACES.ravel())}))
 NUMBERS = LAYOUT.parameters(ONE.stiffness, ONE.damping)
-HZ, DURATION = 500.0, 6.0
+HZ, DURATION = 500.0, 8.0
 
 
 @functools.cache
@@ -56,8 +56,7 @@ def test_one_cup_is_found_by_output_error_with_honest_errors():
     std = np.sqrt(np.diag(fit.covariance))
     assert fit.converged and not fit.notes
     assert np.all(np.abs(fit.parameters - NUMBERS) < 4.0 * std)
-    # by motion alone: what the noise of the tool seems to show is no information
-    assert np.all(std < np.array([0.01, 0.005, 0.02, 0.1, 0.02, 0.1, 0.1, 0.12]) * NUMBERS)
+    assert np.all(std < np.array([0.01, 0.005, 0.02, 0.1, 0.02, 0.1, 0.1, 0.1]) * NUMBERS)
     assert fit.labels == STRUCTURES['axisymmetric'].labels
     assert_allclose(fit.stiffness, np.diag(np.diag(fit.stiffness)))  # that of one cup
 
