@@ -109,7 +109,7 @@ def checked(function: Callable[Inputs, Result]) -> Callable[Inputs, Result]:
     return call
 
 
-def with_checked_methods(cls: type[live.LivePredictor]) -> type[live.LivePredictor]:
+def with_checked_methods(cls: type[live.Predictor]) -> type[live.Predictor]:
     """Check the arguments of all public methods that a class inherits from its first base."""
     base = cls.__bases__[0]
     cls.__doc__ = base.__doc__
@@ -120,7 +120,7 @@ def with_checked_methods(cls: type[live.LivePredictor]) -> type[live.LivePredict
 
 
 @with_checked_methods
-class LivePredictor(live.LivePredictor):
+class LivePredictor(live.Predictor):
     """The predictor of the nodes, with checked arguments."""
 
 

@@ -11,7 +11,7 @@ import platform
 import tempfile
 import time
 
-from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live import Predictor
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.parameters.checks import resolve
 import numpy as np
@@ -44,7 +44,7 @@ def camera(short: bool) -> Figures:
     positions = (size * np.sin(speed * t[:, None])).tolist()
     velocities = (size * speed * np.cos(speed * t[:, None])).tolist()
     model = Cup.thesis(), Package(2.17, np.diag([0.0087, 0.0087, 0.0173]), (0.0, 0.0, -0.03))
-    predictors = [LivePredictor(*model, 9.81, 'tool') for _ in range(2)]
+    predictors = [Predictor(*model, 9.81, 'tool') for _ in range(2)]
     predictors[1].package.observer.use_values(resolve({}, ()))
     predictors[1].package.set_model(*model)
     alone, both, measured = times = list[float](), list[float](), list[float]()

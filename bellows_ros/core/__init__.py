@@ -4,6 +4,7 @@ Hold the numbers: model, integration, filtering, identification, prediction.
 Needs numpy and scipy, and numba where present. Reads no files, logs nothing, knows no ROS.
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 import ctypes
 import gc
@@ -13,6 +14,9 @@ import sys
 import warnings
 
 from bellows_ros.errors import UnitWarning
+
+Progress = Callable[..., None]
+"""Callback with the current step and its completed fraction (0 to 1, default 0)."""
 
 M_MMAP_THRESHOLD = -3
 """Option of glibc's allocator: smallest size of an array with memory pages of its own."""
@@ -42,6 +46,10 @@ def configure_process(is_node: bool = False) -> None:
             set_option(M_MMAP_THRESHOLD, LARGE)
             if not is_node:
                 set_option(M_ARENA_MAX, 1)
+
+
+def no_progress(what: str, part: float = 0.0) -> None:
+    """Ignore the progress."""
 
 
 def usable_cores() -> int:

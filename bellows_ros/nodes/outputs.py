@@ -24,7 +24,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from .conversions import odometry
 from .guarding import LATCHED, ManagedNode
 from ..core.geometry.tuples import add, add_scaled, apply, rotation_matrix, Vector
-from ..core.live import LivePredictor, Prediction, uncertainty, vacuum
+from ..core.live import Prediction, Predictor, uncertainty, vacuum
 from ..core.live.landing import Landing
 from ..core.model import kernels
 from ..core.parameters.values import Values
@@ -44,12 +44,12 @@ class Predicting:
     ----------
     node : ManagedNode
         Node of subscriptions, publishers and logs; messages are processed while it is active.
-    live : LivePredictor
+    live : Predictor
 
     """
 
     node: ManagedNode
-    live: LivePredictor
+    live: Predictor
     publish: Callable[..., None]
     """Function that publishes the predictions of a step, even if other outputs fail."""
     change: Callable[..., Any]

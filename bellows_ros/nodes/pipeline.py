@@ -28,7 +28,7 @@ from .planning import warm_up as warm_up_plans
 from ..core.geometry.arrays import Array
 from ..core.geometry.jit import announce
 from ..core.geometry.tuples import Quaternion, Vector
-from ..core.live import landing, LivePredictor, Prediction, warm_up
+from ..core.live import landing, Prediction, Predictor, warm_up
 from ..core.live.cycle import RELEASED
 from ..core.model.cup_package import model_tuple
 from ..core.model.grip import Grip
@@ -75,7 +75,7 @@ class Pipeline(Predicting):
         compile_all(values)
         self._kind = len(cup_of(values).as_tuple)  # more numbers if it relaxes
         self._compiling: Future[None] | None = None
-        self.live = LivePredictor.from_parameters(node.values)
+        self.live = Predictor.from_parameters(node.values)
         self.outputs = Outputs(self)
         self._publish_secondary_guarded = node.guarded(self._publish_secondary)
         self._twist_at: slice | None = None

@@ -195,7 +195,7 @@ def prediction_finding(
     Parameters
     ----------
     phase : str
-        Result of `LivePredictor.phase`.
+        Result of `Predictor.phase`.
     restarts : mapping of str to int
         Counts since the last report.
     twists_fit, has_covariance, above : bool

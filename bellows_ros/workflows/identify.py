@@ -18,7 +18,7 @@ import signal
 import threading
 from typing import Any
 
-from bellows_ros.core import configure_process, usable_cores
+from bellows_ros.core import configure_process, no_progress, Progress, usable_cores
 from bellows_ros.core.identification import fitting
 from bellows_ros.core.identification.estimates import envelope_of, estimates_of
 from bellows_ros.core.identification.segments import (
@@ -38,7 +38,7 @@ from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, install, require_pictures
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.recordings import Failed, FULL_RANGE, no_progress, Progress
+from bellows_ros.workflows.recordings import Failed, FULL_RANGE
 from bellows_ros.workflows.static import read_standstills, StaticResult
 
 Poses = Mapping[str, PoseStream]

@@ -1,6 +1,6 @@
 """Reading of a recording, and its preparation by its parameters."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import math
 import os
@@ -28,14 +28,6 @@ from bellows_ros.errors import BellowsError, NoTopicError, UnexplainedError
 from bellows_ros.files import detections, File, parameter_files, results
 from bellows_ros.report.findings import prevents, text
 import numpy as np
-
-Progress = Callable[..., None]
-"""Callback with the current step and its completed fraction (0 to 1)."""
-
-
-def no_progress(what: str, part: float = 0.0) -> None:
-    """Ignore the progress."""
-
 
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Settings for reading whole recordings: plans and standstills."""

@@ -7,6 +7,7 @@ import os
 import time
 from typing import Any, NamedTuple
 
+from bellows_ros.core import no_progress, Progress
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array
@@ -20,7 +21,7 @@ from bellows_ros.core.identification.validation import (
     Validation,
 )
 from bellows_ros.core.identification.verdict import cause_finding
-from bellows_ros.core.live import LivePredictor, warm_up
+from bellows_ros.core.live import Predictor, warm_up
 from bellows_ros.core.live.cycle import Signal
 from bellows_ros.core.live.recorded import Messages, predicted_trajectory
 from bellows_ros.core.model import validity_range
@@ -51,8 +52,6 @@ from bellows_ros.workflows.recordings import (
     checked,
     estimate_finding,
     load,
-    no_progress,
-    Progress,
     sensor_findings,
     tag_sought,
 )
@@ -346,7 +345,7 @@ def _tool_messages(recording: Recording, values: Values) -> Messages:
     return Messages(stamps_ns[order], is_twist, numbers)
 
 
-def _counts(live: LivePredictor, recording: Recording) -> dict[str, int]:
+def _counts(live: Predictor, recording: Recording) -> dict[str, int]:
     """Return the numbers of incoming messages, predictions and omitted messages."""
     lost = {
         'tool poses left out as outliers': recording.report.tool.marked,
@@ -423,13 +422,13 @@ def _observed(
     ), sensor_findings(stream, values.measured.tag_size > 0.0)
 
 
-def live_predictor(values: Values, signals: Sequence[Signal]) -> LivePredictor:
+def live_predictor(values: Values, signals: Sequence[Signal]) -> Predictor:
     """Return a predictor in the world of the model; without signals its package is held."""
     in_model: dict[str, Any] = {
         'tool_pose.offset': '', 'gravity.direction': (0.0, 0.0, -1.0)}
     if not signals:
         in_model['vacuum.signal'] = 'none'
-    return LivePredictor.from_parameters(values.replaced(in_model))
+    return Predictor.from_parameters(values.replaced(in_model))
 
 
 def compared_poses(recording: Recording) -> tuple[Trajectory, Trajectory]:

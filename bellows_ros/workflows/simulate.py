@@ -9,6 +9,7 @@ import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bellows_ros.core import no_progress, Progress
 from bellows_ros.core.geometry.arrays import Array, Stamps
 from bellows_ros.core.geometry.lie import apply, transform
 from bellows_ros.core.model.cup_package import Cup, model_tuple
@@ -32,7 +33,6 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import atomic, bags, File, messages
 from bellows_ros.report.findings import warnings
 from bellows_ros.workflows.plan import read_plan
-from bellows_ros.workflows.recordings import no_progress, Progress
 import numpy as np
 
 MIN_RATE = 500.0

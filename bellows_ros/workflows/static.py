@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from bellows_ros.core import Progress
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.identification import statics
 from bellows_ros.core.identification.unknowns import given_std
@@ -14,7 +15,6 @@ from bellows_ros.errors import BellowsError, UndeterminedError
 from bellows_ros.files import results
 from bellows_ros.report.findings import text
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.recordings import Progress
 import numpy as np
 
 

@@ -6,6 +6,7 @@ import math
 import os
 from typing import Any, NamedTuple
 
+from bellows_ros.core import no_progress, Progress
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array
 from bellows_ros.core.geometry.lie import quaternion_to_rotation
@@ -30,7 +31,7 @@ from bellows_ros.errors import (
 )
 from bellows_ros.files import bags, File, messages, results
 from bellows_ros.workflows import CommandResult, plan
-from bellows_ros.workflows.recordings import load, no_progress, Progress, values_of_each
+from bellows_ros.workflows.recordings import load, values_of_each
 import numpy as np
 
 RATE = 500.0

@@ -4,7 +4,7 @@ from importlib.util import find_spec
 from operator import attrgetter
 import sys
 
-from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live import Predictor
 from bellows_ros.core.parameters.conversion import cup_of, package_of
 from bellows_ros.nodes.guarding import GuardedNode, spin
 import pytest
@@ -75,7 +75,7 @@ def test_what_fails_beside_the_pose_does_not_touch_the_prediction(
     partner = make_partner(with_twists=False)
     predictor = partner.predictor
     break_always(attrgetter(part)(predictor), name)
-    alone = LivePredictor(cup_of(predictor.values), package_of(predictor.values), 9.81)
+    alone = Predictor(cup_of(predictor.values), package_of(predictor.values), 9.81)
     expected = []
     for k in range(60):
         position = (0.2e-4 * k * k, 0.0, 0.0)

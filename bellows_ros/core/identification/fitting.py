@@ -16,6 +16,7 @@ from functools import partial
 from itertools import count
 from typing import NamedTuple
 
+from bellows_ros.core import Progress
 from bellows_ros.core.findings import Finding, Level
 from bellows_ros.core.geometry.arrays import Array, Mask, Places
 from bellows_ros.core.identification.causes import causes_of
@@ -471,8 +472,6 @@ def registered(
         f'{names} cannot be found: the search did not converge. Check package.mass and '
         'package.com, and tilt and turn the tool more.')
 
-
-Progress = Callable[[str, float], None]
 
 MAX_DAMPING_STD = 0.25
 """Largest relative standard error of the most certain damping of a moving cup."""

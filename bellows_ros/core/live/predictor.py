@@ -70,7 +70,7 @@ def points_down(z_world: Vector, gravity: Vector) -> bool:
     return bool(sum(map(mul, z_world, gravity)) > MIN_UPWARD_GRAVITY * math.hypot(*gravity))
 
 
-class LivePredictor:
+class Predictor:
     """
     Predict the package from the tool's poses and twists; needs no ROS.
 
@@ -162,7 +162,7 @@ class LivePredictor:
         self._resting: Quaternion | None = None  # orientation of the tool when it last rested
 
     @classmethod
-    def from_parameters(cls, parameters: Mapping[str, object]) -> LivePredictor:
+    def from_parameters(cls, parameters: Mapping[str, object]) -> Predictor:
         """
         Return a predictor with all functions of the node except messages.
 
@@ -670,7 +670,7 @@ def is_moving(tool: State) -> bool:
 
 def warm_up(cup: Cup, package: Package, gravity: ArrayLike, twist_frame: str) -> None:
     """Compile all kernels by predictions of synthetic data in a temporary predictor."""
-    live = LivePredictor(cup, package, np.linalg.norm(gravity), twist_frame)
+    live = Predictor(cup, package, np.linalg.norm(gravity), twist_frame)
     safety_factors((ratio(1.0, 1.0), 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
     (still, upright, *_), arrival_ns = ORIGIN, 0
     for arrival_ns in range(10_000_000, 150_000_000, 10_000_000):  # until settled

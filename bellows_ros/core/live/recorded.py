@@ -2,12 +2,13 @@
 
 from array import array
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from bellows_ros.core import no_progress, Progress
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.live.cycle import Signal
-from bellows_ros.core.live.predictor import LivePredictor
+from bellows_ros.core.live.predictor import Predictor
 from bellows_ros.core.live.uncertainty import Prediction
 from bellows_ros.core.model.simulation import trajectory_of
 from bellows_ros.core.signals.trajectory import frozen, Trajectory
@@ -29,8 +30,8 @@ class Messages(NamedTuple):
 
 
 def predicted_trajectory(
-    live: LivePredictor, messages: Messages,
-    progress: Callable[[str, float], None] = lambda what, part: None,
+    live: Predictor, messages: Messages,
+    progress: Progress = no_progress,
     measured: Sequence[tuple[Any, ...]] = (), signals: Sequence[Signal] = (),
 ) -> Trajectory:
     """

@@ -114,7 +114,7 @@ def pose_step(
                rate_change * shorter / turn_jump), v, w
 
 
-class Samples:
+class SampleClock:
     """
     The samples of a sensor behind the poses of its driver, which may repeat each with new stamps.
 
@@ -180,7 +180,7 @@ class Screen(StampScreen):
         self._last: Reference | None = None
         self._elsewhere: Reference | None = None  # newest of the rejected poses
         self._run, self._foreign_ns = 0, -1
-        self._samples = Samples()
+        self._samples = SampleClock()
         self.forget_arrivals()
 
     def forget_arrivals(self) -> None:

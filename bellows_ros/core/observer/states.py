@@ -79,7 +79,7 @@ NOISE_SIDE = 'noise'
 """Owner of states of the noise."""
 
 
-class State(NamedTuple):
+class FilterState(NamedTuple):
     """A state, or several equal ones, of the filter."""
 
     name: str
@@ -91,27 +91,27 @@ class State(NamedTuple):
 
 
 STATES = (
-    State('SHIFT', 3, 'm', MOTION, math.inf),
-    State('TURN', 3, 'rad', MOTION, math.inf),
-    State('SPEED', 3, 'm/s', MOTION, 50.0),
-    State('SPIN', 3, 'rad/s', MOTION, 300.0),
-    State('MASS', 1, 'log', PACKAGE, math.log(20.0)),
-    State('COM', 3, 'm', PACKAGE, 0.5),
+    FilterState('SHIFT', 3, 'm', MOTION, math.inf),
+    FilterState('TURN', 3, 'rad', MOTION, math.inf),
+    FilterState('SPEED', 3, 'm/s', MOTION, 50.0),
+    FilterState('SPIN', 3, 'rad/s', MOTION, 300.0),
+    FilterState('MASS', 1, 'log', PACKAGE, math.log(20.0)),
+    FilterState('COM', 3, 'm', PACKAGE, 0.5),
     # additional wrench on the package at the lip, in S axes, at the nominal mass, proportional to
     # the mass; its largest value is in weights, at 1 m for the moment
-    State('WRENCH', 6, 'N, N m', MOTION, 100.0),
-    State('STIFFNESS', 6, 'log', CUP, math.log(100.0)),
-    State('DAMPING', 6, 'log', CUP, math.log(100.0)),
-    State('INERTIA', 3, 'log', PACKAGE, math.log(100.0)),
+    FilterState('WRENCH', 6, 'N, N m', MOTION, 100.0),
+    FilterState('STIFFNESS', 6, 'log', CUP, math.log(100.0)),
+    FilterState('DAMPING', 6, 'log', CUP, math.log(100.0)),
+    FilterState('INERTIA', 3, 'log', PACKAGE, math.log(100.0)),
     # the marker in B axes, the camera in the world, the delay of stamps, and the noise with memory
     # of the measured pose in B axes, in its standard deviations
-    State('MARKER', 6, 'm, rad', PACKAGE, math.tau),
-    State('CAMERA', 6, 'm, rad', CAMERA_SIDE, math.tau),
-    State('LATENCY', 1, 's', CAMERA_SIDE, 1.0),
-    State('NOISE', 6, '1', NOISE_SIDE, 100.0),
+    FilterState('MARKER', 6, 'm, rad', PACKAGE, math.tau),
+    FilterState('CAMERA', 6, 'm, rad', CAMERA_SIDE, math.tau),
+    FilterState('LATENCY', 1, 's', CAMERA_SIDE, 1.0),
+    FilterState('NOISE', 6, '1', NOISE_SIDE, 100.0),
     # bias and gain of a force-torque sensor, present from its first wrenches on
-    State('ZERO', 6, 'N, N m', CAMERA_SIDE, 1e4),
-    State('GAIN', 1, '1', CAMERA_SIDE, 0.5),
+    FilterState('ZERO', 6, 'N, N m', CAMERA_SIDE, 1e4),
+    FilterState('GAIN', 1, '1', CAMERA_SIDE, 0.5),
 )
 """All states, in the order of the rows: those that change the motion are before `MARKER`."""
 

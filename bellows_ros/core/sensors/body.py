@@ -14,7 +14,7 @@ from bellows_ros.core.geometry.arrays import Array, Places
 from bellows_ros.core.signals.trajectory import at_tip, NS_PER_S, Trajectory
 import numpy as np
 
-Values = Mapping[str, Array]
+Nuisances = Mapping[str, Array]
 """Values of nuisances by name, SI units."""
 
 Context = tuple[Array, Array, Array | float]
@@ -28,7 +28,8 @@ CLOCKS = 'time_offset', 'clock_rate'
 
 
 def columns_of(
-    poses: Trajectory, values: Values, places: Mapping[str, Places], count: int, context: Context,
+    poses: Trajectory, values: Nuisances, places: Mapping[str, Places], count: int,
+    context: Context,
     scaled: Trajectory,
 ) -> Array:
     """
@@ -45,7 +46,7 @@ def columns_of(
 
 
 def poses_of(
-    package: Trajectory, values: Values, moves: Array, middle: Array | None = None,
+    package: Trajectory, values: Nuisances, moves: Array, middle: Array | None = None,
     camera: Array | float = 0.0,
 ) -> Trajectory:
     """
@@ -83,7 +84,7 @@ def middle_of(package: Trajectory) -> Array:
 
 
 def pose_changes(
-    name: str, size: int, package: Trajectory, values: Values, moves: Array, middle: Array,
+    name: str, size: int, package: Trajectory, values: Nuisances, moves: Array, middle: Array,
     camera: Array | float = 0.0,
 ) -> Array:
     """

@@ -431,7 +431,7 @@ class TagViews:
         period = float(np.median(np.diff(self.stamps_ns))) / NS_PER_S
         return self.tag.exposure or USUAL_EXPOSURE * period
 
-    def corrected(self, values: poses.Values, moves: Array, middle: Array) -> TagViews:
+    def corrected(self, values: poses.Nuisances, moves: Array, middle: Array) -> TagViews:
         """Return the views corrected by values of the nuisances."""
         origin = Trajectory(np.zeros(1, np.int64), np.zeros((1, 3)), np.eye(3)[None])
         T = self.tag.T_world_camera
@@ -447,7 +447,7 @@ class TagViews:
             T_package_tag=lie.inverse_transform(T_before_package) @ self.T_package_tag)
 
     def seen(
-        self, motion: Array, noise: CornerNoise, values: poses.Values,
+        self, motion: Array, noise: CornerNoise, values: poses.Nuisances,
         places: Mapping[str, Places], units: Array, context: poses.Context,
     ) -> Seen:
         """

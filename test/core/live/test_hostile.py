@@ -2,7 +2,7 @@
 
 import math
 
-from bellows_ros.core.live import LivePredictor, REFUSALS
+from bellows_ros.core.live import Predictor, REFUSALS
 from bellows_ros.core.live.tool_twist import MAX_QUEUE, TWIST_REFUSALS
 from bellows_ros.core.model.cup_package import Cup, Package
 from hypothesis import given, HealthCheck, Phase, settings
@@ -45,7 +45,7 @@ class Attack:
     """A predictor, a clock, and a count of what was sent."""
 
     def __init__(self):
-        self.live = LivePredictor(Cup.thesis(), PLATE, 9.81)
+        self.live = Predictor(Cup.thesis(), PLATE, 9.81)
         self.stamp, self.arrival = START, 10**12
         self.poses = self.twists = 0
 
@@ -143,6 +143,6 @@ def check_drift(live, stamp, arrival):
     for k in range(STANDING):
         now = k * STANDING_PERIOD
         out = live.on_pose(stamp + now, 'base', place, tool, arrival + now) or live.flush()
-    (expected,) = LivePredictor(Cup.thesis(), PLATE, 9.81).on_pose(stamp, 'base', place, tool)
+    (expected,) = Predictor(Cup.thesis(), PLATE, 9.81).on_pose(stamp, 'base', place, tool)
     assert_allclose(out[-1].position, expected.position, atol=1e-4)
     assert abs(np.dot(out[-1].quaternion_xyzw, expected.quaternion_xyzw)) > 1.0 - 1e-6

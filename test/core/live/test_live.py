@@ -5,7 +5,7 @@ import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation, rotation_to_quaternion
 from bellows_ros.core.geometry.tuples import ZERO
-from bellows_ros.core.live import LivePredictor, tool_twist
+from bellows_ros.core.live import Predictor, tool_twist
 from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.observer.states import CAMERA, STATE
@@ -52,7 +52,7 @@ def messages():
 
 @pytest.fixture
 def predictor():
-    return LivePredictor(Cup.thesis(), PLATE, 9.81)
+    return Predictor(Cup.thesis(), PLATE, 9.81)
 
 
 def errors(predictions, truth):
@@ -74,7 +74,7 @@ def is_finite(prediction):
     (('pose', 'twist'), 3, (0.0, 0.0)), (('pose', 'twist'), 1, (0.2, 0.25))])
 def test_equals_the_simulation_in_any_order_of_messages(messages, order, burst, relaxation):
     out, cup = [], replace(Cup.thesis(), relaxation=relaxation)
-    predictor = LivePredictor(cup, PLATE, 9.81)
+    predictor = Predictor(cup, PLATE, 9.81)
     predictor.expect_twists(True)
     for k in range(0, len(messages) - 2, burst):
         for kind in order:
@@ -110,7 +110,7 @@ def test_shipped_moves_without_noise_are_predicted_within_1_um(root, with_twists
     cup, package = cup_of(given), package_of(given)
     motion = read_recipe(load(root / 'bags/validation.yaml'), package.com).motion
     truth = simulate(cup, package, motion.at_rate(8000.0), gravity=given.gravity.magnitude)
-    live = LivePredictor(cup, package, given.gravity.magnitude, 'tool')
+    live = Predictor(cup, package, given.gravity.magnitude, 'tool')
     live.expect_twists(with_twists)
     out = []
     for stamp_ns, o, q, v, w in zip(*sent_by(motion.at_rate(500.0)), strict=True):
@@ -167,7 +167,7 @@ def test_what_an_observer_has_learned_outlasts_a_divergence(messages, predictor)
 
 
 def test_pause_is_bridged_up_to_the_limit(messages):
-    live = LivePredictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=100_000_000)
+    live = Predictor(Cup.thesis(), PLATE, 9.81, coast_limit_ns=100_000_000)
     truth = simulate(Cup.thesis(), PLATE, messages.tool)
     arrivals = [stamp - START for stamp in messages.stamps]
     for k in range(180):
@@ -200,7 +200,7 @@ def test_pause_is_bridged_up_to_the_limit(messages):
     ('nonsense', 'world', 'does_not_fit'),
 ])
 def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
-    live = LivePredictor(Cup.thesis(), PLATE, 9.81, twist_frame=said)
+    live = Predictor(Cup.thesis(), PLATE, 9.81, twist_frame=said)
     live.expect_twists(True)
     turn = np.diag([-1.0, -1.0, 1.0])  # a tool that points the other way
     for k in range(len(messages)):
@@ -217,7 +217,7 @@ def test_twists_in_other_axes_are_noticed(messages, sent_in, said, verdict):
 @pytest.mark.parametrize(('tool', 'package', 'refused'), [
     ('base', '', 0), ('', 'base', 0), ('', '', 0), ('base', 'base', 0), ('base', 'camera', 1)])
 def test_a_message_without_a_frame_is_in_the_expected_one(tool, package, refused):
-    live = LivePredictor.from_parameters({
+    live = Predictor.from_parameters({
         'package.mass': 1.0, 'package.com': [0.0, 0.0, -0.05],
         'package.inertia': [0.01, 0.01, 0.01, 0.0, 0.0, 0.0]})
     live.on_pose(START, tool, (0.0, 0.0, 1.0), UPRIGHT)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bellows_ros.core.geometry import lie
-from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live import Predictor
 from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.simulation import simulate
 from bellows_ros.core.planning.plan_prediction import PlanSimulation
@@ -22,7 +22,7 @@ SLIDE = Move([0.6, 0.0, 0.0], [0.0, 0.3, 0.0], 0.6)
 
 
 def live(cup=RUBBER, **more):
-    return LivePredictor(cup, PACKAGE, 9.81, **more)
+    return Predictor(cup, PACKAGE, 9.81, **more)
 
 
 def tilted(t, angle=0.3):

@@ -1,6 +1,6 @@
 """A wrong stamp is refused and counted in each input stream, and stops none of them."""
 
-from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live import Predictor
 import pytest
 
 from ..observer.cases import values
@@ -22,7 +22,7 @@ class Streams:
     """A predictor with a tool at rest, and counts of the used and the refused messages."""
 
     def __init__(self):
-        self.live = LivePredictor.from_parameters(values(wrench__sign='reaction'))
+        self.live = Predictor.from_parameters(values(wrench__sign='reaction'))
         self.stamp, self.arrival = START, 10**12
         self.used, self.refused_wrenches, self.height = dict.fromkeys(STREAMS, 0), 0, 0.0
 

@@ -4,7 +4,7 @@ import math
 
 from bellows_ros import read_cup, read_package
 from bellows_ros.core.geometry.tuples import exp_quaternion, quaternion_product
-from bellows_ros.core.live import LivePredictor, REFUSALS, RESTARTS
+from bellows_ros.core.live import Predictor, REFUSALS, RESTARTS
 from bellows_ros.core.live.tool_screening import JUMP_RUN, Screen
 from bellows_ros.core.signals.screening import BACKWARD_RUN
 import numpy as np
@@ -161,7 +161,7 @@ def test_of_poses_shown_again_in_motion_the_first_counts(ratio, noise, jitter_ns
 def test_predictions_of_repeated_poses_are_those_of_the_sensor(root):
     """At 125 Hz, each shown four times at 500 Hz: without a delay by the messages between."""
     def predicted(step):
-        live, found = LivePredictor(read_cup(root / 'bags/cup.yaml'), read_package(
+        live, found = Predictor(read_cup(root / 'bags/cup.yaml'), read_package(
             root / 'bags/package.yaml'), 9.81), {}
         for k in range(0, 1500, step):
             place = (swing(k // 4 * 4 * PERIOD * 1e-9), 0.0, 0.5)

@@ -3,7 +3,7 @@
 import math
 
 from bellows_ros.core.geometry.lie import log_so3, quaternion_to_rotation
-from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live import Predictor
 from bellows_ros.core.live.uncertainty import in_world_axes
 from bellows_ros.core.model.cup_package import Cup, Package
 from bellows_ros.core.model.simulation import simulate
@@ -55,7 +55,7 @@ def tool_poses():
 
 def predictor(given, cup=THESIS, package=PLATE, **more):
     """Return a predictor with parameters of the uncertainty."""
-    live = LivePredictor(cup, package, 9.81, **more)
+    live = Predictor(cup, package, 9.81, **more)
     live.package.observer.use_values(given)
     live.package.set_model(cup, package)
     return live
@@ -75,7 +75,7 @@ def stds(C):
 
 def predict(cup=THESIS, package=PLATE, rng=None, position=0.0, rotation=0.0):
     """Return predictions, with noise on the poses where a generator is given."""
-    live, out = LivePredictor(cup, package, 9.81), []
+    live, out = Predictor(cup, package, 9.81), []
     for stamp, o, q in tool_poses():
         if rng is not None:
             o = tuple((o + rng.normal(0.0, position, 3)).tolist())

@@ -1,7 +1,7 @@
 """Correct a package whose true motion is known."""
 
 from bellows_ros.core.geometry.tuples import quaternion_product
-from bellows_ros.core.live import LivePredictor
+from bellows_ros.core.live import Predictor
 from bellows_ros.core.model.cup_package import Cup, model_tuple, Package
 from bellows_ros.core.model.equilibrium import largest_step, moved_by, pose_error, substeps_for
 from bellows_ros.core.model.kernels import advance, ORIGIN
@@ -116,7 +116,7 @@ def test_delay_and_publishing_leave_the_estimate():
     stamps, tool, body, seen = scene(9, seconds=1.2)
     ends = []
     for delay, publishes in ((0, False), (50, False), (50, True), (0, True)):
-        live = LivePredictor(CUP, PACKAGE, 9.81, 'tool')
+        live = Predictor(CUP, PACKAGE, 9.81, 'tool')
         live.expect_twists(True)
         for k, (stamp_ns, (position, q, linear, angular)) in enumerate(
                 zip(stamps.tolist(), tool, strict=True)):
@@ -156,7 +156,7 @@ def test_start_errs_by_the_errors_of_the_parameters():
 def test_prediction_without_measured_poses_is_unchanged():
     """Predict bit for bit what the model alone does, observed or not, until something is seen."""
     stamps, tool, body, _ = scene(8, seconds=0.3)
-    alone, watched = (LivePredictor(CUP, PACKAGE, 9.81, 'tool') for _ in range(2))
+    alone, watched = (Predictor(CUP, PACKAGE, 9.81, 'tool') for _ in range(2))
     watched.package.observer.has_sensor = True
     model, states = model_tuple(CUP, PACKAGE, 9.81), []
     for stamp_ns, (position, q, linear, angular) in zip(stamps.tolist(), tool, strict=True):
