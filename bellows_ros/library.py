@@ -69,41 +69,66 @@ ACCEPTED: Mapping[Any, tuple[type, ...]] = {
 """Accepted types by type hint: numbers also of NumPy, and no text as a sequence of characters."""
 
 
-def accepted_types(hint: Any) -> tuple[type, ...]:
-    """Return the classes of a type hint, () if it allows arrays, which are checked when read."""
+def check_of(name: str, hint: Any, default: object) -> Callable[[Any], None]:
+    """
+    Return a function that checks an argument by its type hint, except at its default.
+
+    Arrays are checked when they are read. Values of the very classes of the hint need no further
+    check, so that the arguments of each pose cost little.
+    """
     options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     classes = [option if option in ACCEPTED else get_origin(option) or option
                for option in options]
     if np.ndarray in classes or {*get_args(ArrayLike)}.issubset(options):
-        return ()
-    return tuple(chain.from_iterable(ACCEPTED.get(each, (each,)) for each in classes))
+        return lambda value: None
+    if get_origin(hint) is tuple:
+        return _check_of_vector(name, len(get_args(hint)))
+    types = tuple(chain.from_iterable(ACCEPTED.get(each, (each,)) for each in classes))
+    exact = frozenset(options)
+
+    def check(value: Any) -> None:
+        if type(value) in exact or value is default:
+            return
+        require_types(**{name: (value, *types)})
+        if Real in types and isinstance(value, Real):
+            real_numbers(value, name)
+
+    return check
+
+
+def _check_of_vector(name: str, size: int) -> Callable[[Any], None]:
+    """Return a function that checks a tuple or an array of so many real numbers."""
+    floats = (float,) * size
+
+    def check(value: Any) -> None:
+        if type(value) is tuple and (*map(type, value),) == floats:
+            return
+        array = real_numbers(value, name)
+        if array.shape != (size,):
+            raise BellowsError(f'{name} must have the shape {(size,)}, got {array.shape}.')
+
+    return check
 
 
 def checked(function: Callable[Inputs, Result]) -> Callable[Inputs, Result]:
     """Check the arguments of a function by their type hints, except those at their defaults."""
-    signature = inspect.signature(function)
+    parameters = inspect.signature(function).parameters
 
     @cache
-    def hints() -> Mapping[str, Any]:
-        """Return the type hints of the arguments; those of results are loaded later."""
+    def checks() -> Mapping[str, Callable[[Any], None]]:
+        """Return the check of each argument; the hint of a result is loaded later."""
         arguments = {name: hint for name, hint in function.__annotations__.items()
                      if name != 'return'}
-        return get_type_hints(
-            SimpleNamespace(__annotations__=arguments), function.__globals__)
+        hints = get_type_hints(SimpleNamespace(__annotations__=arguments), function.__globals__)
+        return {name: check_of(name, hint, parameters[name].default)
+                for name, hint in hints.items()}
 
     @wraps(function)
     def call(*args: Inputs.args, **kwargs: Inputs.kwargs) -> Result:
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
-            hint = hints().get(name, object)  # of self
-            if get_origin(hint) is tuple:
-                array = real_numbers(value, name)
-                if array.shape != (size := (len(get_args(hint)),)):
-                    raise BellowsError(f'{name} must have the shape {size}, got {array.shape}.')
-            elif (types := accepted_types(hint)) and value is not (
-                    signature.parameters[name].default):
-                require_types(**{name: (value, *types)})
-                if Real in types and isinstance(value, Real):
-                    real_numbers(value, name)
+        own = checks()
+        for name, value in chain(zip(parameters, args, strict=False), kwargs.items()):
+            if name in own:  # unlike self
+                own[name](value)
         return function(*args, **kwargs)
 
     return call

@@ -6,8 +6,10 @@ import inspect
 import json
 import subprocess
 import sys
+import time
 
 import bellows_ros
+from bellows_ros.core.live import LivePredictor as Predictor
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose
@@ -217,3 +219,17 @@ def test_an_argument_of_any_other_form_is_refused(root, monkeypatch, name, argum
         if not is_right:
             with pytest.raises(BellowsError):
                 function(**{**RIGHT[name], argument: value})
+
+
+def test_checks_of_a_pose_cost_little():
+    """Compare with the predictor of the nodes, in turns: 1.15 times its time, 3.2 before."""
+    own, checked = (cls(CUP, PACKAGE, 9.81) for cls in (Predictor, bellows_ros.LivePredictor))
+    durations = {own: list[int](), checked: list[int]()}
+    for number in range(600):
+        stamp_ns = 2_000_000 * number
+        for predictor, found in durations.items():
+            begin = time.perf_counter_ns()
+            predictor.on_pose(
+                stamp_ns, 'world', (1e-4 * number, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), stamp_ns)
+            found.append(time.perf_counter_ns() - begin)
+    assert np.median(durations[checked]) < 1.4 * np.median(durations[own])
