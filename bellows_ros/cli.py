@@ -368,12 +368,12 @@ def simulate(arguments: Any, console: 'Console') -> CommandOutcome:
 
     Read on: docs/recording.md
     """
-    from bellows_ros.files.safe_yaml import load
+    from bellows_ros.files.safe_yaml import load_names
     from bellows_ros.report.printed import print_simulation
     from bellows_ros.workflows.simulate import simulate_recording
 
     report = simulate_recording(
-        read_settings(arguments, cup_for=console), load(arguments.motion), arguments.out,
+        read_settings(arguments, cup_for=console), load_names(arguments.motion), arguments.out,
         console.progress, arguments.force, arguments.plan or '')
     return CommandOutcome(partial(print_simulation, report), report)
 

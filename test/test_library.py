@@ -9,7 +9,7 @@ import sys
 import time
 
 import bellows_ros
-from bellows_ros.core.live import LivePredictor as Predictor
+from bellows_ros.core.live import Predictor
 from bellows_ros.errors import BellowsError
 import numpy as np
 from numpy.testing import assert_allclose

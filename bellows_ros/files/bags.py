@@ -30,6 +30,8 @@ from ruamel.yaml import YAML
 bound_rosbags()
 
 METADATA = 'metadata.yaml'
+RECORDED = '.mcap', '.db3', '.bag'
+"""Suffixes of recordings that are no folders."""
 MAX_METADATA = 2**26
 """Largest size of a metadata.yaml, bytes."""
 
@@ -85,6 +87,10 @@ def _require_recording(bag: Path) -> None:
     for file in bag.iterdir() if bag.is_dir() else [bag]:
         if file.exists() and not (file.is_file() or file.is_dir()):
             raise _damaged(bag, f"'{file.name}' is no plain file")
+    if bag.is_file() and bag.suffix not in RECORDED:
+        raise BellowsError(
+            f"'{shown(str(bag), 200)}' is no recording: expected a rosbag2 folder, or a .mcap or "
+            ".db3 file. 'bellows convert' makes one of the poses in files of Motive or TUM.")
 
 
 def _require_closed(bag: Path) -> None:

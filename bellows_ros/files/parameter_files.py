@@ -63,10 +63,7 @@ def read_parameters(path: File, node: str | None = None) -> dict[str, Value]:
     if node not in (None, *NODES):
         raise BellowsError(f"node is '{node}'; expected {' or '.join(NODES)}.")
     file = Path(path)
-    content = safe_yaml.load(file)
-    if not isinstance(content, safe_yaml.Content):
-        raise BellowsError(
-            f"Parameter file '{file}' holds no parameters. Give 'name: value' lines.")
+    content = safe_yaml.load_names(file)
     values: dict[str, Value] = {}
     for keys, section in _sections(file, content, node):
         for name, value, where in _flattened(section, keys):

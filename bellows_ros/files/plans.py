@@ -363,6 +363,10 @@ def _as_message(content: Any, where: Callable[[Sequence[str]], str], *keys: str)
     return content
 
 
+MAX_POSITION = 1e6
+"""Largest position and speed of a joint, rad or m, per second."""
+
+
 class RecordedJoints(NamedTuple):
     """Tool poses of recorded joint states, and findings on their velocities."""
 
@@ -374,7 +378,8 @@ def recorded_joints(path: File, arm: Arm) -> RecordedJoints:
     """
     Return the tool poses of recorded joint states, with twists if they have velocities.
 
-    Velocities that contradict the positions, as zero or constant ones, are left out.
+    States without the position of a joint (NaN, as drivers send it first) are left out, and so are
+    velocities that contradict the positions, as zero or constant ones, or are NaN.
 
     Raises
     ------
@@ -396,12 +401,16 @@ def recorded_joints(path: File, arm: Arm) -> RecordedJoints:
     velocity, findings = None, list[Finding]()
     if all(len(m.velocity) == len(m.name) for m in useful):
         velocity = np.array([m.velocity[own] for m, own in zip(useful, columns, strict=True)])
-    fresh = ~repeated(np.linalg.norm(np.diff(position, axis=0), axis=1))
+    known = np.flatnonzero((np.abs(position) < MAX_POSITION).all(axis=1))
+    if not len(known):
+        raise BellowsError(f'{where} have no positions below {MAX_POSITION:g}. Record them again.')
+    fresh = known[~repeated(np.linalg.norm(np.diff(position[known], axis=0), axis=1))]
     stamps, position = stamps[fresh], position[fresh]
     if velocity is not None:
         velocity = velocity[fresh]
         durations, steps = np.diff(stamps) / NS_PER_S, np.diff(position, axis=0)
-        if len(stamps) > 1 and contradiction(durations, steps, velocity) is not None:
+        if not (np.abs(velocity) < MAX_POSITION).all() or (
+                len(stamps) > 1 and contradiction(durations, steps, velocity) is not None):
             velocity = None
             findings.append(Finding('joint_velocities', Level.OK))
     T, twist = arm.tool(position, velocity)

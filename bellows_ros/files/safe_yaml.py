@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, shown
 from bellows_ros.files import read_text
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -71,6 +71,15 @@ def load(path: Path) -> Any:
         content.update(value)
         return content
     return value
+
+
+def load_names(path: Path) -> Content:
+    """Return the content of a YAML file of names and values; raise BellowsError for another."""
+    content = load(path)
+    if not isinstance(content, Content):
+        raise BellowsError(f"'{path}' must hold 'name: value' lines, got "
+                           f"{'nothing' if content is None else shown(repr(content), 60)}.")
+    return content
 
 
 def _document(events: Iterator[Any], lines: dict[tuple[str, ...], int]) -> Any:

@@ -17,6 +17,7 @@ from datetime import datetime, UTC
 from decimal import Decimal
 from io import StringIO
 from itertools import islice, pairwise, zip_longest
+import os
 import re
 from typing import NamedTuple
 
@@ -82,7 +83,9 @@ def read_tum(path: File) -> tuple[Stamps, Array]:
 
 
 def is_motive(path: File) -> bool:
-    """Return whether a file begins like an export of Motive; false if unreadable."""
+    """Return whether a file begins like an export of Motive; false if unreadable, or a pipe."""
+    if not os.path.isfile(path):
+        return False
     with suppress(OSError), open(path, 'rb') as file:
         return file.read(200).lstrip(b'\xef\xbb\xbf"').startswith(b'Format Version')
     return False

@@ -58,7 +58,7 @@ from bellows_ros.report.findings import entry, text
 from bellows_ros.workflows import CommandResult, recordings
 import numpy as np
 
-YAML, TEXT = ('.yaml', '.yml'), ('.tum', '.txt')
+YAML, TEXT = ('.yaml', '.yml', '.json'), ('.tum', '.txt')
 AS_PLANNED = 'as planned'
 """Name of the unchanged motion."""
 
@@ -421,8 +421,9 @@ def _require_searchable(source: PlannedMotion) -> None:
 
 def limits_in(limits: File | Mapping[str, object], source: PlannedMotion) -> Limits:
     """Return the limits in a YAML file, or in its content; '' for none."""
-    bounds = bounding.read_limits(
-        limits if isinstance(limits, Mapping) else safe_yaml.load(Path(limits)) if limits else {})
+    if not isinstance(limits, Mapping):
+        limits = safe_yaml.load_names(Path(limits)) if limits else {}
+    bounds = bounding.read_limits(limits)
     if source.grip is None and bounds.safety_factor > 0.0:
         raise BellowsError(
             f"The limit safety_factor cannot be compared. {text(Finding('no_factor'))} Or leave "

@@ -6,13 +6,29 @@ import math
 from operator import getitem
 
 from bellows_ros.core.parameters.checks import resolve
+from bellows_ros.core.planning.limits import read_limits
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError
 from bellows_ros.files import safe_yaml
-from bellows_ros.files.bags import as_messages, read_contents, topics, write_bag
+from bellows_ros.files.bags import as_messages, Encoded, read_contents, topics, write_bag
+from bellows_ros.files.detections import read_contents as detections_of
+from bellows_ros.files.detections import TagSought
+from bellows_ros.files.messages import BOOL, CAMERA_INFO, DETECTIONS, pack, TRANSFORMS
 from bellows_ros.files.parameter_files import read_parameters
+from bellows_ros.files.plans import (
+    arm_of,
+    DESCRIPTION,
+    encode,
+    JOINTS,
+    MULTI_DOF,
+    PATH,
+    Plan,
+    recorded_joints,
+    STATES,
+)
 from bellows_ros.files.results import format_json
 from bellows_ros.files.trajectory_files import read_motive, read_tum
+from bellows_ros.workflows.holds import signals_of
 from bellows_ros.workflows.info import info
 from bellows_ros.workflows.plan import read_plan
 from bellows_ros.workflows.recordings import load
@@ -21,9 +37,21 @@ import numpy as np
 import pytest
 
 from ..core.planning.test_arm import URDF
-from ..files.recordings import plan_messages
+from ..files.recordings import (
+    encoded,
+    header,
+    ODOMETRY,
+    plan_messages,
+    POSE,
+    POSE_COVARIANCE,
+    serialized,
+    TRANSFORM,
+    TWIST,
+)
+from ..files.test_detections import calibration, detections, LENSES, views
+from ..files.test_detections import encoded as of_camera
 
-POSE, TWIST = 'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TwistStamped'
+NAMES, PRESSURE = ['turn', 'slide', 'spin'], 'sensor_msgs/msg/FluidPressure'
 PERIOD_NS = 10_000_000
 STAMPS = 1_760_000_000_000_000_000 + PERIOD_NS * np.arange(60)
 ROLES = {'tool_pose': '/tool', 'package_pose': '/box', 'tool_twist': '/twist'}
@@ -179,6 +207,107 @@ def test_each_value_of_metadata_with_a_wrong_type(tmp_path):
     assert tried > 400 and refusals > tried / 3
 
 
+def recorded_cell():
+    """Return the messages of every topic that a command reads, by topic."""
+    poses, count = recorded()[0][3], len(STAMPS)
+    way = np.linspace(0.0, 0.3, count)[:, None] * np.ones(3)
+    plan = Plan(MULTI_DOF, 0, 'base', ('tool',), PERIOD_NS * np.arange(8), poses[:8])
+    joints = plan._replace(kind=JOINTS, names=NAMES, points=way[:8], rates=way[:8])
+    pixels = views()[2] * 900.0 + 600.0
+    motions = [Encoded(topic, kind, STAMPS, [
+        encoded(kind, stamp, pose=pose, twist=pose[:6])
+        for stamp, pose in zip(STAMPS, poses, strict=True)]) for topic, kind in (
+            ('/covariance', POSE_COVARIANCE), ('/transform', TRANSFORM), ('/odometry', ODOMETRY))]
+    others = {
+        ('/joint_states', STATES): [
+            serialized(STATES, (header(stamp, ''), NAMES, q, 0.5 + 0.0 * q, []))
+            for stamp, q in zip(STAMPS, way, strict=True)],
+        ('/tf', TRANSFORMS): [
+            pack(TRANSFORMS, ('camera', 'box'), int(stamp), *pose)
+            for stamp, pose in zip(STAMPS, poses, strict=True)],
+        ('/vacuum/held', BOOL): [serialized(BOOL, (k % 20 < 10,)) for k in range(count)],
+        ('/vacuum/pressure', PRESSURE): [
+            serialized(PRESSURE, (header(stamp), 3e4 + stamp % 5e4, 0.0)) for stamp in STAMPS],
+        ('/robot_description', DESCRIPTION): [serialized(DESCRIPTION, (URDF,))],
+        ('/plan', MULTI_DOF): [encode(plan)], ('/plan_joints', JOINTS): [encode(joints)],
+        ('/plan_path', PATH): [encode(plan._replace(kind=PATH))]}
+    return {each.topic: each for each in (
+        *(as_messages(*own) for own in recorded()), *motions,
+        of_camera('/detections', DETECTIONS, detections(pixels)),
+        of_camera('/camera', CAMERA_INFO, [calibration('plumb_bob', LENSES['plumb_bob'])]),
+        *(Encoded(*names, STAMPS[:len(data)], data) for names, data in others.items()))}
+
+
+def streamed(topic, role='measured'):
+    """Return a function that reads poses with covariances, corners of a tag, or twists."""
+    def read(bag):
+        tag = TagSought(0.06, child_frame='box' if topic == '/tf' else '')
+        found = detections_of(bag, {role: topic}, tag)
+        for stream in found.streams.values():
+            assert all(np.all(np.isfinite(array)) for array in arrays(stream))
+
+    return read
+
+
+def planned(topic):
+    """Return a function that reads a plan, or recorded joints."""
+    def read(bag):
+        urdf = str(bag.with_name('arm.urdf')) if 'joint' in topic else ''
+        tool = read_plan(bag, resolve({'tool_link': 'tool'}), urdf, topic).tool
+        assert np.all(np.isfinite(tool.position)) and np.all(np.isfinite(tool.twist))
+
+    return read
+
+
+def signalled(kind):
+    """Return a function that reads when packages are held."""
+    return lambda bag: signals_of(bag, resolve({'vacuum.signal': kind}))
+
+
+READERS = {
+    **{topic: streamed(topic) for topic in (
+        '/tool', '/covariance', '/transform', '/odometry', '/tf', '/detections')},
+    '/camera': streamed('/detections'), '/twist': streamed('/twist', 'tool_twist'),
+    **{topic: planned(topic) for topic in ('/plan', '/plan_path', '/plan_joints')},
+    **dict.fromkeys(('/joint_states', '/robot_description'), lambda bag: recorded_joints(
+        bag, arm_of('', 'tool', bag))),
+    '/vacuum/held': signalled('bool'), '/vacuum/pressure': signalled('pressure')}
+"""Functions that read a recording, by the topic on which they depend."""
+TOGETHER = ('/detections', '/camera'), ('/joint_states', '/robot_description')
+"""Topics that are read together."""
+
+
+def with_a_wrong_number(rng, message):
+    """Return a message with eight or four bytes of another number, or damaged."""
+    data, width = bytearray(message), int(rng.choice([8, 4]))
+    if len(data) < 12 or rng.random() < 0.3:
+        return damaged(rng, message)
+    at = int(rng.integers(4, len(data) - 7)) // 4 * 4
+    number = np.float64(rng.choice([np.nan, np.inf, -1e300, 1e-320, 0.0])) if width == 8 else (
+        np.uint32(rng.choice([0, 1, 2**31, 2**32 - 1, 10**9])))
+    data[at:at + width] = number.tobytes()
+    return bytes(data)
+
+
+@of_seeds
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+@pytest.mark.parametrize('topic', READERS)
+def test_damaged_messages(topic, seed, tmp_path):
+    """Damage some or all messages of a topic in a recording that is whole."""
+    rng, bag, cell = np.random.default_rng(seed), tmp_path / 'bag', recorded_cell()
+    (tmp_path / 'arm.urdf').write_text(URDF)
+    sound = cell[topic].data
+    for number in range(ATTEMPTS // 2):
+        share = rng.choice([0.1, 1.0]) if len(sound) > 1 else 1.0
+        cell[topic] = cell[topic]._replace(data=[
+            with_a_wrong_number(rng, each) if number and rng.random() < share else each
+            for each in sound])
+        names = next((names for names in TOGETHER if topic in names), (topic,))
+        write_bag(bag, [cell[name] for name in names], replace=True)
+        assert not refused('', READERS[topic], bag) or number
+        refused('', lambda: format_json(info(bag).as_json()))
+
+
 STRANGE = {
     'in pairs': lambda rng, s: s // (2 * PERIOD_NS) * 2 * PERIOD_NS + np.arange(len(s)) % 2 * 1000,
     'in bursts': lambda rng, s: np.maximum.accumulate(s + rng.choice([0, 90_000_000], len(s))),
@@ -237,6 +366,12 @@ def plan_in(file):
     return read_plan(file, resolve({'tool_link': 'tool'}), urdf).tool.position.tolist()
 
 
+def arm_in(file):
+    """Read the arm of a URDF, and return the pose of its tool."""
+    arm = arm_of(file, 'tool')
+    return arm.tool(np.zeros((1, len(arm.moving))))[0].tolist()
+
+
 def simulated(root, file):
     """Simulate a motion file, and return the positions that are recorded."""
     out = file.with_name('out')
@@ -253,6 +388,9 @@ def texts(root):
         'motion.tum': (TUM, read_tum), 'take.csv': (MOTIVE, read_motive),
         'predictor.yaml': ((root / 'config/predictor.yaml').read_text(), read_parameters),
         'cup.yaml': ((root / 'bags/cup.yaml').read_text(), read_parameters),
+        'limits.yaml': ((root / 'config/limits_example.yaml').read_text(),
+                        lambda file: read_limits(safe_yaml.load_names(file))),
+        'arm.urdf': (URDF, arm_in),
         **{f'{kind}.yaml': (json.dumps(plan), plan_in) for kind, plan in plan_messages().items()},
         'motion.yaml': ((root / 'bags/static.yaml').read_text(), partial(simulated, root))}
 
@@ -260,7 +398,7 @@ def texts(root):
 @of_seeds
 @pytest.mark.parametrize('name', [
     'motion.tum', 'take.csv', 'predictor.yaml', 'cup.yaml', 'multi.yaml', 'path.yaml',
-    'joints.yaml', 'motion.yaml'])
+    'joints.yaml', 'motion.yaml', 'limits.yaml', 'arm.urdf'])
 def test_scrambled_texts(name, seed, texts, tmp_path):
     """Tables, parameters, plans and motions."""
     (text, read), rng, file = texts[name], np.random.default_rng(seed), tmp_path / name

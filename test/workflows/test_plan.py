@@ -152,7 +152,8 @@ def test_a_plan_of_joints_is_one_of_the_tool(tmp_path):
         figures(other, values=values, urdf=str(tmp_path / 'arm.urdf'))
 
 
-@pytest.mark.parametrize(('factor', 'offset'), [(0.0, 0.0), (0.0, 0.3), (-1.0, 0.0)])
+@pytest.mark.parametrize(('factor', 'offset'), [
+    (0.0, 0.0), (0.0, 0.3), (-1.0, 0.0), (np.nan, 0.0), (1.0, 1e300)])
 def test_positions_decide_where_velocities_of_joint_states_contradict_them(
         factor, offset, tmp_path):
     found = plan(joint_recording(tmp_path / 'bag', factor, offset),
