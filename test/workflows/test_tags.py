@@ -98,6 +98,10 @@ def test_a_lens_and_a_smaller_tag_than_stated_leave_k_and_name_the_inputs(motion
     assert scale == pytest.approx(0.9, abs=5e-4)
     assert latency[0] == pytest.approx(1e-9 * LATE_NS, abs=1e-4)
     assert found.cell_parameters()['measured.type'] == 'detections'
+    place, _, (shift_std, turn_std) = *found.found['recording.package_world'][:2], (
+        found.cell_parameters()['measured.camera_std'])
+    assert np.abs(np.array(place.split()[:3], float) - EYE).max() < 4.0 * shift_std
+    assert shift_std < 1e-3 and turn_std < 1e-3  # of the fit, a tenth of that of a first look
     true = envelope(*motion, PLATE, THESIS.length)
     assert_allclose(found.envelope.high[:3], true.high[:3], atol=2e-3)
     (free,) = found.verdict.simulated

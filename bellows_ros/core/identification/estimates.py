@@ -118,6 +118,15 @@ def com_change(fit: Fit) -> Array:
     return np.asarray(fit.nuisances.get('com', np.zeros((1, 3)))[0])
 
 
+def _world_std(pose: Array, R_world_recorded: Array, middle: Array, std: Array) -> Array:
+    """Return the standard deviations (6,) of a pose (7,) by those of its `shifted_pose` motion."""
+    turned = np.square(R_world_recorded.T)
+    across = np.square(R_world_recorded.T @ lie.hat(R_world_recorded @ pose[:3] - middle))
+    variance = np.square(std)
+    return np.asarray(np.sqrt(np.append(
+        turned @ variance[:3] + across @ variance[3:], turned @ variance[3:])))
+
+
 def _of_package(
     fit: Fit, payload: Any, length: float
 ) -> Iterator[tuple[str, ParameterEstimate]]:
@@ -151,13 +160,15 @@ def _of_cell(
         yield 'measured.scale', ParameterEstimate(
             recording.report.scale * scale, std['scale'][0], '1')
     if world:
+        middle = middle_of(recording.tracked_package)[:3]
         pose = alignment.shifted_pose(
-            world.pose, settings.R_world_recorded, middle_of(recording.tracked_package)[:3],
-            free.get('package_world', np.zeros(6)))
+            world.pose, settings.R_world_recorded, middle, free.get('package_world', np.zeros(6)))
+        error = world.std if 'package_world' not in std else _world_std(
+            pose, settings.R_world_recorded, middle, std['package_world'])
         if settings.tag is None:
             pose[:3] *= scale
         yield 'recording.package_world', ParameterEstimate(
-            checks.pose_text(pose), world.std, 'm, rad')
+            checks.pose_text(pose), error, 'm, rad')
     if 'package_marker' in free or world and settings.align_at_rest:
         shift = np.array(settings.moves_with_com) * com_change(fit)
         yield 'measured.offset', ParameterEstimate(

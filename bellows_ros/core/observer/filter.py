@@ -229,12 +229,14 @@ def _correlation(of_next: float, rate: float) -> float:
 
 @kernel
 def propagated_covariance(
-    P: Array, T: Array, Q: Array, h: float, walk: Array, correlation: tuple[float, float]
+    P: Array, T: Array, Q: Array, h: float, walk: Array, correlation: tuple[float, float],
+    factors: Array,
 ) -> Array:
     """
     Return the covariance (n, n) after a transition in a time h (s), half of the walk before it.
 
-    The walk (n,) is the variance per second of each row.
+    The walk (n,) is the variance per second of each row; the factors (2,) are the variances of the
+    noise of position and rotation.
     """
     n, out = len(P), P.copy()
     side = t3.product(T, P[:MARKER], out[:STATE])
@@ -255,7 +257,7 @@ def propagated_covariance(
     for i in range(6):
         for j in range(STATE, n):
             out[NOISE + i, j] = out[j, NOISE + i]
-        out[NOISE + i, NOISE + i] += 1.0 - correlation[i // 3] ** 2
+        out[NOISE + i, NOISE + i] += factors[i // 3] * (1.0 - correlation[i // 3] ** 2)
     return out
 
 
@@ -414,7 +416,8 @@ def predicted(
         memory = memory.copy()
         memory[SAME] = of_view = correlation_of_view(earlier, body, P, T)
         correlation = max(correlation[0], of_view), max(correlation[1], of_view)
-    P = propagated_covariance(P, T, Q, seconds, walk, correlation)
+    P = propagated_covariance(
+        P, T, Q, seconds, walk, correlation, memory[FACTORS:FACTORS + 2])
     for i in range(6):
         theta[NOISE - STATE + i] *= correlation[i // 3]
     return (until_ns, tool, body, theta, P, memory), Q

@@ -184,9 +184,13 @@ def cholesky(S: Array) -> tuple[Array, Array]:
 
 
 @kernel
-def observation(n: int, body: State, noise: Array, of_lip: bool, white: float) -> Array:
-    """Return the derivative (6, n) of an innovation by the error, with the noise's white part."""
-    H, root = np.zeros((6, n)), cholesky(noise)[0]
+def observation(n: int, body: State, root: Array, of_lip: bool, white: float) -> Array:
+    """
+    Return the derivative (6, n) of an innovation by the error.
+
+    The root (6, 6) of the stated noise has the white fraction and the fraction with a memory.
+    """
+    H = np.zeros((6, n))
     R = t3.rotation_matrix(body[1])
     lever = t3.multiply(t3.transposed(R), t3.hat(body[0]))
     v = body[2] + body[3]
@@ -206,18 +210,19 @@ def observation(n: int, body: State, noise: Array, of_lip: bool, white: float) -
 
 @kernel
 def innovation_of(
-    body: State, theta: Array, P: Array, difference: Array, noise: Array, marker: Marker,
-    jitter: float,
+    body: State, theta: Array, P: Array, difference: Array, root: Array, noise: Array,
+    marker: Marker, jitter: float,
 ) -> Innovation:
     """
     Return an `Innovation` of a difference (6,), see `pose_error`.
 
-    Its noise (6, 6) is in B axes, jitter the variance of a stamp (s^2).
+    The root of the stated noise and the covariance of the noise (6, 6) are in B axes, jitter is
+    the variance of a stamp (s^2).
     """
     n, of_lip, is_tag = len(P), marker[2], marker[3][0]
     white = WHITE_SHARE_OF_TAG if is_tag else WHITE_SHARE
     y = difference.copy()
-    H = observation(n, body, noise, of_lip, white)
+    H = observation(n, body, root, of_lip, white)
     for i in range(6):
         for j in range(i + 1):
             y[i] -= H[i, NOISE + j] * theta[NOISE - STATE + j]
@@ -314,7 +319,7 @@ def updated_memory(
     for i in range(ekf.SQUARES, ekf.LAST):
         out[i] *= 1.0 - other / MEMORY_COUNT
     for i in range(6):
-        noise = theta[NOISE - STATE + i]
+        noise = theta[NOISE - STATE + i] / math.sqrt(out[ekf.FACTORS + i // 3])
         out[ekf.SQUARES + i // 3] += other * noise * noise
         out[ekf.PRODUCTS + i // 3] += other * noise * out[ekf.LAST + i]
         out[ekf.LAST + i] = noise
@@ -363,11 +368,14 @@ SPREAD = 5.0
 
 
 @kernel
-def _enlarge(noise: Array, memory: Array) -> None:
-    """Multiply the covariance of the noise by the estimated factors, in place."""
+def _with_factors(root: Array, memory: Array) -> Array:
+    """Return the covariance (6, 6) of the noise with a stated root, by the estimated factors."""
+    noise = np.zeros((6, 6))
     for i in range(6):
         for j in range(6):
-            noise[i, j] *= math.sqrt(memory[ekf.FACTORS + i // 3] * memory[ekf.FACTORS + j // 3])
+            for k in range(min(i, j) + 1):
+                noise[i, j] += memory[ekf.FACTORS + k // 3] * root[i, k] * root[j, k]
+    return noise
 
 
 @kernel
@@ -482,10 +490,11 @@ def filter_step(
                          seen.means, significance(theta, P, seen.prior))
     model = with_theta(nominal, theta)
     exposed = at_exposure(model, tool, body, theta)
-    difference, covariance = _measured_difference(model, tool, exposed, theta, seen)
-    _enlarge(covariance, memory)
+    difference, stated = _measured_difference(model, tool, exposed, theta, seen)
+    root = cholesky(stated)[0]
+    covariance = _with_factors(root, memory)
     innovation = innovation_of(
-        exposed, theta, P, difference, covariance, seen.marker, memory[ekf.JITTER])
+        exposed, theta, P, difference, root, covariance, seen.marker, memory[ekf.JITTER])
     there = moved(exposed, (difference[0], difference[1], difference[2]),
                   (difference[3], difference[4], difference[5]), ZERO, ZERO)
     verdict = USED

@@ -52,13 +52,10 @@ ZERO_DRIFT = (0.02, 1e-3)
 (0.01, 0.0005) and one in a wrist (0.05, 0.003)."""
 
 BIAS_SHARE = 0.01
-"""Initial wrench bias, relative to the effect of the default payload uncertainty."""
+"""Initial wrench bias, relative to the effect of the uncertainty of mass and centre of mass."""
 
-BIAS_WALK = 0.0003
-"""Random walk of the wrench bias in 1 s, as a fraction of the weight."""
-
-WALK_ARM = 0.02
-"""Lever of the random walk of the force, which gives the random walk of the moment, m."""
+BIAS_TIME = 5.0
+"""Time in which the wrench bias changes by its initial standard deviation, s."""
 
 CAMERA_WALK_TIME = 300.0
 """Time in which a camera's frame drifts by `measured.camera_std` as its mount warms up, s."""
@@ -177,12 +174,12 @@ def priors_of(values: Values, model: ModelTuple) -> Priors:
         np.repeat(values[f'measured.{name}_std'], 3) for name in ('marker', 'camera'))
     prior: dict[str, float | Array] = {
         'SHIFT': 0.01, 'TURN': 0.1, 'SPEED': 0.5, 'SPIN': 1.0, 'MASS': mass, 'COM': com,
-        'WRENCH': BIAS_SHARE * weight * np.repeat([0.05, COM_UNCERTAIN[0]], 3),
+        'WRENCH': BIAS_SHARE * weight * np.repeat([mass, com.max()], 3),
         'STIFFNESS': stiffness, 'DAMPING': damping, 'INERTIA': np.sqrt(np.diag(inertia)),
         'MARKER': marker, 'CAMERA': camera, 'LATENCY': values.measured.latency[1], 'NOISE': 1.0,
         'ZERO': np.repeat(values.wrench.bias_std, 3), 'GAIN': GAIN_STD}
     walk: dict[str, float | Array] = {
-        'WRENCH': BIAS_WALK * weight * np.repeat([1.0, WALK_ARM], 3),
+        'WRENCH': prior['WRENCH'] / math.sqrt(BIAS_TIME),
         'CAMERA': camera / math.sqrt(CAMERA_WALK_TIME), 'ZERO': np.repeat(ZERO_DRIFT, 3)}
     std, of_walk = (np.concatenate([
         np.broadcast_to(sizes.get(each.name, 0.0), each.size) for each in STATES])

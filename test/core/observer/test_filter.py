@@ -41,6 +41,7 @@ OF_MOTION = range(states.MARKER)
 MEMORY = first_memory()
 MEMORY[3:5] = 0.5 * MEMORY[1:3]
 MEMORY[ekf.SHARE] = 0.0
+FACTORS = np.array([1.0, 2.0])
 NO_DRIVE = np.zeros((3, 12, 12))
 BODY = False, 2e-3, 1e-2, ZERO, rotation_matrix((0.0, 0.0, 0.0, 1.0)), 0.0, 0.0
 TAG = (True, 1e-4, 30.0, (0.3, 0.2, -0.7), rotation_matrix(exp_quaternion((0.2, -0.3, 0.1))),
@@ -112,8 +113,9 @@ def test_transition_is_that_by_differences(is_off):
     of_rows[walks] = walk
     half[:12, :12] = h * h / 2 * drive[0]
     dense = F @ (P + half) @ F.T + half
-    dense[noise, noise] += 1.0 - kept**2
-    own = ekf.propagated_covariance(P, T, Q, h, of_rows, ekf.correlations(memory, h))
+    dense[noise, noise] += (1.0 - kept**2) * np.repeat(FACTORS, 3)
+    own = ekf.propagated_covariance(
+        P, T, Q, h, of_rows, ekf.correlations(memory, h), FACTORS)
     np.testing.assert_allclose(
         own / np.outer(SIZES, SIZES), dense / np.outer(SIZES, SIZES), atol=1e-3)
 
@@ -167,7 +169,7 @@ def test_innovations_agree_with_their_covariance(of_lip, sensor):
                          NO_MEANS, np.ones(4)),
             False, False)
         z, W = step.z, step.whitener
-        H = observation(states.ROWS, step.exposed, np.diag(NOISE_STD**2), of_lip, WHITE_SHARE)
+        H = observation(states.ROWS, step.exposed, np.diag(NOISE_STD), of_lip, WHITE_SHARE)
         root = np.linalg.inv(W)
         return root @ z, H, root
 
@@ -203,11 +205,13 @@ def test_covariance_stays_positive_definite_after_very_many_updates(updates):
             for noise in (1e-8, 1.0, 1e-4, 1.0, 1e-6) for _ in range(20)]
     walk = np.full(states.ROWS, 1e-12)
     for k in range(updates):
-        P = ekf.propagated_covariance(P, T, Q, 1e-3, walk, ekf.correlations(MEMORY, 1e-3))
+        P = ekf.propagated_covariance(
+            P, T, Q, 1e-3, walk, ekf.correlations(MEMORY, 1e-3), np.ones(2))
         scale, *pose = seen[37 * k % len(seen)]
         noise, difference = np.diag(NOISE_STD**2) * scale, np.ravel(pose_error(own, *pose))
         found = innovation_of(
-            own, theta, P, difference, noise, (ZERO, (0.0, 0.0, 0.0, 1.0), False, BODY), 4e-6)
+            own, theta, P, difference, np.sqrt(noise), noise,
+            (ZERO, (0.0, 0.0, 0.0, 1.0), False, BODY), 4e-6)
         possible, own, theta = posterior(own, theta, P, found, LARGEST)
         assert possible
     scale = np.sqrt(np.diag(P))

@@ -459,3 +459,36 @@ def test_well_known_cup_is_predicted_as_well_with_a_camera_as_without():
                 pose_error(cell.made.body, *cell.body[k][:2])))
             squares_of += np.square(errors[250:]).sum(axis=2).mean(axis=0)
     assert (squares[0] < 1.05**2 * squares[1]).all()
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_constant_error_of_a_view_does_not_grow_with_the_estimated_noise(seed):
+    """Let a resting tag err by 1 mm, 9 deviations of a view, with all else known exactly."""
+    rng, (stamps, _) = np.random.default_rng(seed), tool_motion(np.random.default_rng(seed), 3.0)
+    tool = [ORIGIN] * len(stamps)
+    body = truth(tool[:1])[0]
+    made = observer(
+        measured__tag_size=0.05, recording__package_world='0 0 1 1 0 0 0',
+        measured__noise=[8e-5, 20.0], tool_noise=(2e-5, 5e-5))
+
+    def seen():
+        """Return a pose in axes of the camera, 1 m above the origin, that looks down."""
+        (x, y, z), q, *_ = with_noise(
+            rng, body, np.array([5e-5, 5e-5, 3e-4, 2e-3, 2e-3, 8e-4]))
+        return (x + 1e-3, -y, 1.001 - z), quaternion_product((-1.0, 0.0, 0.0, 0.0), q)
+
+    follow(made, stamps, tool, body, at_once(
+        stamps, {k: seen() for k in range(8, len(tool), 8)}))
+    assert np.abs(error_of(made.body, body)[3:6]).max() < 5e-5  # rad; 2e-4 if it grows
+
+
+def test_wrench_of_a_known_package_is_known():
+    """Let the bias of the wrench have the shares of the stated mass and centre of mass."""
+    model = model_tuple(CUP, PACKAGE, 9.81)
+    known, unknown = (priors_of(values(
+        package__mass_std=0.01 * size * PACKAGE.mass, package__com_std=[1e-3 * size] * 3), model)
+        for size in (0.1, 1.0))
+    for each in ('std', 'walk'):
+        found, other = (getattr(of, each)[WRENCH:WRENCH + 6] for of in (known, unknown))
+        np.testing.assert_allclose(found, 0.1 * other)
+        assert found.min() > 0.0
