@@ -61,7 +61,7 @@ def test_a_cup_is_identified_from_arrays():
             poses.stamps_ns, poses.position + rng.normal(scale=1e-5, size=(len(poses), 3)),
             poses.rotation, valid=np.arange(len(poses)) != 77)
         for poses in (tool, held))
-    result = bellows_ros.identify([pair], package, 0.046)
+    result = bellows_ros.identify([pair], package, 0.046, {'fit.method': 'least_squares'})
     assert not result.refusals
     assert_allclose(np.diag(result.cup.stiffness), np.diag(cup.stiffness), rtol=0.02)
     assert_allclose(np.diag(result.cup.damping), np.diag(cup.damping), rtol=0.1)

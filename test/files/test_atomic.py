@@ -3,8 +3,8 @@ Output is written whole or not at all, also if the process is killed at any mome
 
     python -m test.files.test_atomic NAME PATH
 
-writes an output again and again until it is killed, and prints a dot when both contents were
-written once.
+has an output written again and again until the writer is killed, several times; it prints a dot
+after each, and goes on when it reads one.
 """
 
 from contextlib import contextmanager
@@ -146,16 +146,16 @@ def both(folder, name):
 def test_a_killed_writer_leaves_no_partial_file(name, tmp_path):
     """And one that writes carelessly does, so that partial files are found."""
     whole, torn = [*both(tmp_path, name), None], 0
-    for k in range(KILLS):
-        with subprocess.Popen([sys.executable, '-m', __name__, name, str(
-                tmp_path / name)], cwd=Path(__file__).parents[2], stdout=-1) as process:
+    with subprocess.Popen([sys.executable, '-m', __name__, name, str(tmp_path / name)],
+                          cwd=Path(__file__).parents[2], stdin=-1, stdout=-1) as process:
+        for _ in range(KILLS):
             assert process.stdout.read(1) == b'.'
-            time.sleep(1e-3 * k)  # the moment is the point, nothing is awaited
-            process.kill()
-        torn += content(tmp_path / name) not in whole
-        assert all(each.name == name or each.name.startswith(PREFIX)
-                   for each in tmp_path.iterdir())
-    assert (torn > 0) == (name == 'careless')
+            torn += content(tmp_path / name) not in whole
+            assert all(each.name == name or each.name.startswith(PREFIX)
+                       for each in tmp_path.iterdir())
+            process.stdin.write(b'.')
+            process.stdin.flush()
+    assert process.returncode == 0 and (torn > 0) == (name == 'careless')
 
 
 @contextmanager
@@ -236,13 +236,23 @@ def test_a_folder_that_cannot_be_renamed_back_is_kept_and_named(tmp_path, monkey
 
 
 def main():
-    """Write both contents in turn."""
+    """Kill a writer of both contents in turn at several moments, and let each be judged."""
     name, path = sys.argv[1:]
-    for number in (0, 1):
-        WRITERS[name](Path(path), number)
-    print('.', end='', flush=True)
-    for number in cycle((0, 1)):
-        WRITERS[name](Path(path), number)
+    for k in range(KILLS):
+        begun, begin = os.pipe()
+        if (writer := os.fork()) == 0:
+            for number in cycle((0, 1)):
+                WRITERS[name](Path(path), number)
+                if number:
+                    os.write(begin, b'.')
+        os.close(begin)
+        os.read(begun, 1)  # both were written once
+        time.sleep(1e-3 * k)  # the moment is the point, nothing is awaited
+        os.kill(writer, signal.SIGKILL)
+        os.waitpid(writer, 0)
+        os.close(begun)
+        print('.', end='', flush=True)
+        sys.stdin.buffer.read(1)
 
 
 if __name__ == '__main__':

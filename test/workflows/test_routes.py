@@ -23,7 +23,7 @@ def settings(root, known, true_cup, tmp_path_factory):
     folder = tmp_path_factory.mktemp('settings')
     bags = [str(folder / name) for name in ('first', 'second')]
     for seed, bag in enumerate(bags, 1):
-        simulate_recording(true_cup, {**motion, 'seed': seed, 'duration': 8.0}, bag)
+        simulate_recording(true_cup, {**motion, 'seed': seed, 'duration': 6.0}, bag)
     return {**known, 'fit.method': 'least_squares', 'bags': bags}
 
 

@@ -141,5 +141,8 @@ def test_a_replay_is_rated_by_the_corners(factor, failing, root):
     assert (corners.chi2 < 1.5 and corners.nrmse < 0.02) == (not failing)
     alone, both = found.observed.corners.values()
     assert not failing or both.rms < 0.8 * alone.rms
+    assert found.succeeded == (not failing)
+    relation = 'above' if failing else 'by noise alone above'
+    assert f'motion on the tool, {relation} 0.1 %' in text(scores.verdict(0.001))
     said = text(scores.verdict())
     assert f'{920 * corners.rms:.2g} pixels' in said and 'larger motion' not in said
