@@ -75,7 +75,7 @@ another matplotlib."""
 REACH = 3.0
 """Largest distance of a held package's lip from the tool tip, lengths of the cup."""
 MIN_MARGIN = 0.06
-"""Smallest margin about the motion in an animation, m."""
+"""Margin about the motion of the package's box in an animation, m."""
 
 
 class Scene(NamedTuple):
@@ -488,7 +488,7 @@ def animation(scenes: Sequence[Scene]) -> bytes:
 def _space(panel: Any, scene: Scene) -> Any:
     """Return a panel that shows a whole scene in equal scales."""
     bodies = np.vstack([scene.tool.position, scene.package.position]) @ VIEW.T
-    margin = max(MIN_MARGIN, 0.6 * max(scene.values.package.size))
+    margin = MIN_MARGIN + 0.5 * float(np.linalg.norm(scene.values.package.size))
     low, high = bodies.min(axis=0) - margin, bodies.max(axis=0) + margin
     panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=scene.label)
     panel.set_aspect('equal')

@@ -105,7 +105,7 @@ def test_an_animation_shows_the_whole_box_in_every_frame(root, monkeypatch):
                       0.1 * np.column_stack([np.sin(t), np.cos(t), np.sin(2 * t)]),
                       exp_so3(0.2 * np.sin(3 * t)[:, None] * np.array([1.0, 0.5, 0.2])))
     package = Trajectory(tool.stamps_ns, tool.position - [0.0, 0.0, 0.08], tool.rotation)
-    values = resolve(read_parameters(root / 'bags/tossing.yaml'))
+    values = resolve({**read_parameters(root / 'bags/tossing.yaml'), 'package.size': [0.3] * 3})
     data = plots.animation([plots.Scene('scene', tool, package, None, values)])
     with image.open(io.BytesIO(data)) as picture:
         assert picture.n_frames == plots.SHORTEST * plots.FRAME_RATE
@@ -115,6 +115,10 @@ def test_an_animation_shows_the_whole_box_in_every_frame(root, monkeypatch):
             red = pixels[..., 0] - pixels[..., 1] > 60
             assert red.any()
             assert not (red[0].any() or red[-1].any() or red[:, 0].any() or red[:, -1].any())
+            if number == 0:  # the box is not turned yet
+                height, width = (np.ptp(np.flatnonzero(red.any(axis=axis))) for axis in (1, 0))
+                drawn = np.ptp(0.3 * plots.CORNERS @ plots.VIEW.T, axis=0)
+                assert width / height == pytest.approx(drawn[0] / drawn[1], rel=0.03)
 
 
 @pytest.mark.parametrize('name', ['a.jpg', 'a', 'a.mp4'])
