@@ -183,9 +183,15 @@ def _paired(poses: Trajectory, jumps: _Jumps) -> tuple[list[slice], list[Lasting
     excursions, steps = list[slice](), list[LastingStep]()
     done = -1
     for k, i in enumerate(edges):
-        if strength[i] < jumps.steps[i] ** 2 or i <= done:
+        if strength[i] < jumps.steps[i] ** 2:
             continue
         part = int(np.searchsorted(ends, i, side='right'))
+        if i <= done:  # a second excursion may begin in the first, and end after it
+            overlapping = _excursion(poses, jumps, edges, k, (i, int(ends[part])))
+            if overlapping and overlapping.stop - 1 > done:
+                excursions.append(overlapping)
+                done = overlapping.stop - 1
+            continue
         run = _excursion(poses, jumps, edges, k, (done, int(ends[part]))) or _to_an_end(
             i, int(ends[part - 1]), int(ends[part]), seconds)
         if run is None and not _lasts(poses, jumps, i):

@@ -14,7 +14,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Mask, Stamps
 from bellows_ros.core.model import structure
 from bellows_ros.core.model.cup_package import Package
-from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample
+from bellows_ros.core.signals.resampling import common_span, MAD_TO_STD, resample, timing
 from bellows_ros.core.signals.screening import MAX_TOOL_SPEED
 from bellows_ros.core.signals.trajectory import (
     any_within,
@@ -27,6 +27,7 @@ from bellows_ros.core.signals.trajectory import (
 from bellows_ros.errors import UndeterminedError
 import numpy as np
 
+from .outliers import find_outliers
 from .recording import ripple, ripple_part
 
 SAMPLES = 300
@@ -245,10 +246,19 @@ def swapped_bodies(poses: RecordedPoses) -> Iterator[Finding]:
         return
     is_swapped = is_near & (above > UPRIGHT) | is_one
     start = min(int(poses.tool.stamps_ns[0]), int(poses.package.stamps_ns[0]))
+    for stream in (poses.tool, poses.package):  # outliers are left out in any case
+        is_swapped &= _are_good(stream, package.stamps_ns)
     lasting = [(begin, end) for begin, end in _spans_of(is_swapped, package.stamps_ns - start)
                if end - begin >= SWAPPED_SECONDS]
     for begin, end in lasting[:MAX_SWAPS]:
         yield Finding('swapped', Level.ERROR, {'begin': begin, 'end': end}, 'both')
+
+
+def _are_good(stream: PoseStream, stamps_ns: Stamps) -> Mask:
+    """Return whether the poses of a stream about stamps (N,) are no outliers."""
+    good = find_outliers(stream.trajectory(), timing(stream.stamps_ns).longest_step_ns).good
+    after = np.searchsorted(stream.stamps_ns, stamps_ns).clip(1, len(good) - 1)
+    return np.asarray(good[after - 1] & good[after])
 
 
 def _spans_of(chosen: Mask, times_ns: Stamps) -> list[tuple[float, float]]:

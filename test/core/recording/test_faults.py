@@ -7,6 +7,7 @@ from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.lie import apply, exp_so3
 from bellows_ros.core.model.cup_package import Package
 from bellows_ros.core.recording.faults import pose_remarks
+from bellows_ros.core.recording.outliers import find_outliers
 from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.core.signals.resampling import clock_steps
 from bellows_ros.core.signals.trajectory import PoseStream
@@ -164,6 +165,20 @@ def test_each_impossible_package_is_seen_beside_sound_poses(wrong):
 def test_sound_poses_have_no_fault_in_one_frame_or_two(seed):
     both = streams(seed)
     assert faults(*both) == faults(*apart(*both, seed)) == []
+
+
+@pytest.mark.parametrize('seed', range(3, 13))
+@pytest.mark.parametrize('samples', [3, 7])
+def test_an_outlier_that_meets_the_other_body_is_no_exchange(samples, seed):
+    """As the screening leaves it out, wherever it is."""
+    tool, package = streams(seed)
+    off = np.arange(500, 500 + samples)
+    position, R = tool.position.copy(), tool.rotation.copy()
+    position[off] = package.position[off] + 0.005 * np.random.default_rng(seed).normal(size=3)
+    R[off] = R[off] @ exp_so3(np.array([0.3, -0.2, 0.2]))
+    lost = changed(tool, position, R)
+    assert not find_outliers(lost.trajectory(), 20_000_000).good[off].any()
+    assert not faults(lost, package)
 
 
 def test_a_base_that_drives_far_is_in_metres():

@@ -91,6 +91,25 @@ def test_excursions_are_marked_to_the_sample(seed, rate_hz, motion, noise, excur
     assert precision > (0.97 if is_large else 0.9)
 
 
+@pytest.mark.parametrize('seed', range(10))
+@pytest.mark.parametrize('lengths', [(7, 3, 6), (12, 4, 20), (3, 9, 5)])
+def test_excursions_that_overlap_are_marked_to_the_end_of_the_later_one(lengths, seed):
+    """Of two errors of tracking, the second begins in the first."""
+    rng, poses = np.random.default_rng(seed), recorded(3)
+    first, begin, second = lengths
+    begins = (700, 700 + begin)
+    R, position = poses.rotation.copy(), poses.position.copy()
+    bad = np.zeros(len(poses), dtype=bool)
+    for start, length in zip(begins, (first, second), strict=True):
+        off = slice(start, start + length)
+        position[off] += rng.uniform(0.02, 0.05) * rng.choice([-1.0, 1.0], 3)
+        R[off] = R[off] @ exp_so3(rng.uniform(0.1, 0.4) * rng.choice([-1.0, 1.0], 3))
+        bad[off] = True
+    good = found_in(Trajectory(poses.stamps_ns, position, R)).good
+    assert not good[bad].any()
+    assert np.count_nonzero(~good & ~bad) <= 2
+
+
 @pytest.mark.parametrize('samples', [1, 2, 3, 6])
 @pytest.mark.parametrize('degrees', [90.0, 175.0, 180.0])
 def test_flips_of_a_symmetric_box_return(samples, degrees):
