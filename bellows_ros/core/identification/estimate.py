@@ -217,7 +217,7 @@ class Solution:
         """Return the start of a problem with more free quantities, with equal cup and courses."""
         wide = self.problem.freed(self.theta, more, structure)
         return evaluated(wide, wide.transferred(self.problem, self.theta),
-                         self.courses.pool.keep(_without_unknowns, self.courses))
+                         self.courses)
 
     def estimate(self, name: str) -> tuple[Array, Array]:
         """Return the estimate of a free quantity, SI units, with its standard errors."""
@@ -255,11 +255,6 @@ class Solution:
         """
         return {number: std for number, std in enumerate(self.of_each(_noise_in_motion))
                 if std is not None}
-
-
-def _without_unknowns(courses: Sequence[Course]) -> tuple[Course, ...]:
-    """Return courses whose noise follows no unknowns, for a problem with others."""
-    return tuple(course._replace(theta=np.zeros(0)) for course in courses)
 
 
 def _learned(segments: Segments, courses: Sequence[Course], parts: Parts) -> float:

@@ -5,29 +5,18 @@ The package is simulated along the path of the tool, from rest or a first state 
 free within wide limits and eliminated. A sensor gives six numbers in each bin of time: the
 differences of a tracked body's pose, or the residuals of a tag's corners, relative to their noise.
 
-Noise n of the tool's poses moves the simulated package by G n, and the numbers of its sensor by
-M G n with their mean derivative M by the pose, so that they have the spectrum
-C(f) = R + M G Q G^H M^H, with spectra R of the sensor's noise and Q of the tool's, by which they
-are whitened. G follows from small motions d of the package,
-
-    d'' = A_p d + A_v d' + B_p S0 n + B_v (S0 n)',
-
-with the response S0 of the filter of the tool's path. Its slopes follow S1, but the cubic curves
-between the rows of a path have the slopes of its poses on average. With exact poses of the tool,
-this is output error; with noisy ones, the sum of squares is the minimum over all paths of the tool
-(total least squares).
+Noise of the tool's poses moves the simulated package. A Kalman filter whitens the numbers by the
+noise of the sensor and by that of the tool's path, with which the package swings about its
+simulated motion; see `smoother`. With exact poses of the tool, this is output error; with noisy
+ones, the sum of squares is the minimum over all paths of the tool (total least squares).
 
 Derivatives are differences of simulations along the likeliest path, without the frequencies at
 which it is noise (instrumental variables): derivatives with the noise that also is in the numbers
 would have a mean product with them, and bias the damping.
-
-The likeliest path follows the unknowns (variable projection): with a moving cup G is only nearly
-the response of the package, so that a path takes up part of what wrong unknowns do. Derivatives
-include this, as otherwise they promise more information than there is.
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
 from bellows_ros.core.geometry.arrays import Array, Places, Stamps
@@ -36,10 +25,21 @@ from bellows_ros.core.identification.segments import (
     Course,
     in_threads,
     MIN_POSE_STD,
-    moved,
-    noise_spectrum,
     ROW_NS,
     Segment,
+)
+from bellows_ros.core.identification.smoother import (
+    filtered,
+    lie_bracket,
+    noise_of_means,
+    path_noise,
+    response,
+    Sensor,
+    small_motion,
+    SmallMotion,
+    smoothed,
+    Steps,
+    steps_of,
 )
 from bellows_ros.core.identification.unknowns import (
     delayed,
@@ -51,100 +51,15 @@ from bellows_ros.core.identification.unknowns import (
 )
 from bellows_ros.core.model import equilibrium, simulation
 from bellows_ros.core.model.cup_package import model_tuple
-from bellows_ros.core.model.equilibrium import linearise
 from bellows_ros.core.model.kernels import ModelTuple, State
 from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import Seen
-from bellows_ros.core.signals.resampling import MAD_TO_STD, resample
+from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
-
-
-class Responses(NamedTuple):
-    """
-    Responses to noise of the tool's poses at F frequencies of a padded series.
-
-    Those of the package (F, 6, 6), in body axes, and of the path and its slope (2, F).
-    """
-
-    package: Array
-    path: Array
-
-
-class Filters(NamedTuple):
-    """
-    Filters of a sensor's numbers at F frequencies of a padded series.
-
-    Response (F, 6, 6) of the numbers to noise of the tool, filter (F, 6, 6) to white noise of
-    variance 1, and filter (F, 6, 6) from white noise to the likeliest noise of the tool, m and
-    rad; variances (6,) by the tool, and sum of the logarithms of all variances of a series.
-    """
-
-    response: Array
-    whitening: Array
-    likeliest: Array
-    of_tool: Array
-    logs: float
-
-    @classmethod
-    def of(
-        cls, problem: Problem, segment: Segment, course: Course, of_package: Array
-    ) -> 'Filters':
-        """Return the filters of a segment from the response (F, 6, 6) of the package."""
-        period, (padded, frequency) = segment.bin_ns / NS_PER_S, _frequencies(segment)
-        response = course.by_pose @ of_package
-        of_tool = noise_spectrum(segment.tool_noise, segment.tool_period, frequency) / period
-        of_sensor = np.ones((len(frequency), 6))  # of white views
-        if not problem.has_views(segment):
-            of_sensor = noise_spectrum(segment.package_noise._replace(
-                std=course.std), segment.period, frequency) / period
-        by_tool = (response * of_tool[:, None]) @ _adjoint(response)
-        root = np.linalg.inv(np.linalg.cholesky(by_tool + of_sensor[:, :, None] * np.eye(6)))
-        logs = -4.0 * float(np.sum(np.log(np.abs(np.einsum('fii->fi', root)))))
-        return cls(
-            response, root, -of_tool[:, :, None] * _adjoint(response) @ _adjoint(root),
-            np.mean(np.einsum('fii->fi', by_tool).real, axis=0), logs / padded)
-
-
-def _frequencies(segment: Segment) -> tuple[int, Array]:
-    """Return the length of a padded series, and its frequencies (F,), Hz."""
-    period = segment.bin_ns / NS_PER_S
-    padded = 2 * ((len(segment.bins_ns) + round(BLOCK_DURATION / period) + 1) // 2)
-    return padded, np.asarray(np.fft.rfftfreq(padded, period), np.float64)
-
-
-def _responses(problem: Problem, theta: Array, segment: Segment, course: Course) -> Responses:
-    """Return the responses of a segment about its first rest; theta is local."""
-    _, frequency = _frequencies(segment)
-    model = problem.model(theta, segment)
-    plain: ModelTuple = (model[0][:4], *model[1:])  # without internal strains
-    tool = np.append(course.rows[0, :7], np.zeros(6))
-    by = linearise(plain, simulation.row_state(tool), _first_state(plain, tool, np.zeros(12)))
-    lags, iw = np.arange(segment.weights.shape[1]) - segment.weights.shape[1] // 2, (
-        2j * np.pi * frequency)
-    path: Any = segment.weights[:2] @ np.exp(segment.tool_period * np.outer(lags, iw))
-    path[:, frequency > 0.5 / segment.tool_period] = 0.0
-    mean = np.sinc(frequency * segment.bin_ns / NS_PER_S) / np.sinc(
-        frequency * segment.period)  # of the poses of a bin
-    iw = iw[:, None, None]
-    G = np.linalg.solve(iw**2 * np.eye(6) - iw * by.body_twist - by.body_pose,
-                        (mean * path[0])[:, None, None] * (by.tool_pose + iw * by.tool_twist))
-    return Responses(np.asarray(G), np.asarray(path))
-
-
-def _adjoint(matrices: Array) -> Array:
-    """Return conjugate transposes of matrices (F, 6, 6)."""
-    return np.conj(np.swapaxes(matrices, 1, 2))
-
-
-def filtered(response: Array, series: Array) -> Array:
-    """Return the series (N, 6, q) behind a filter of a response (F, 6, 6)."""
-    count, size = len(series), 2 * (len(response) - 1)
-    spectra = np.fft.rfft(series, size, axis=0)
-    return np.asarray(np.fft.irfft(response @ spectra, size, axis=0)[:count])
-
+from scipy.interpolate import CubicSpline
 
 START_STD = np.repeat([0.05, 0.3, 0.5, 3.0], 3)
 """Standard deviation of the package's first state about rest on the tool: wider than any swing,
@@ -168,9 +83,8 @@ Ratio of the integrator's steps in a fit to the steps in a prediction.
 K and P of `bags/identification` change by less than 1e-4, 0.01 standard errors.
 """
 
-PATH_PART = 0.5
-"""Part by which the noise of the tool's path is renewed: errors that a step returns with a factor
-between -3 and 1, as the cup is not linear, then decay."""
+MIN_GROWTH = 0.1
+"""Smallest ratio of the variances of slow poses after a step and before it."""
 
 BLOCK_DURATION = 1.0
 """Length of the parts of a recording whose information is stored, and of the zeros behind a
@@ -185,7 +99,7 @@ class Part(NamedTuple):
     The whitened differences of a segment.
 
     Innovations (N, 6), weighted by Huber; differences (N, 6) in m and rad; sum of the logarithms
-    of their variances; the likeliest noise of the tool and change of the first state; the noise
+    of their variances; the course with the likeliest path and first state; the noise
     (6,) of poses by the differences; information (c, q, q) and slope (c, q) of each second; and
     the smear (N,) of views, rad.
     """
@@ -251,19 +165,29 @@ def _spans(problem: Problem, segment: Segment) -> list[tuple[slice, float]]:
     return [(slice(0, count), 0.0 if 'slip' not in problem.rows else -1.0)]
 
 
+def _marked(problem: Problem, theta: Array, segment: Segment, tool: Array) -> Array:
+    """Return states (M, 13) of the tool of those of its marker."""
+    if 'tool_marker' not in problem.rows:
+        return tool
+    marker = problem.values(theta)['tool_marker']
+    return simulation.tool_rows(body.of_fixed_frame(
+        simulation.trajectory_of(segment.rows_ns, tool), marker[3:], marker[:3]))
+
+
 def simulated(
     problem: Problem, theta: Array, segment: Segment, tool: Array, start: Array, steps: int
 ) -> Array:
-    """Return the package's states (M, 13) at the rows of the tool (M, 13); theta is local."""
+    """
+    Return the package's states (M, 13) at the rows of the tool (M, 13); theta is local.
+
+    The first state is a change (12,) from rest on the measured tool, whatever the path.
+    """
     out, state = np.empty((len(tool), 13)), None
-    if 'tool_marker' in problem.rows:
-        marker = problem.values(theta)['tool_marker']
-        tool = simulation.tool_rows(body.of_fixed_frame(
-            simulation.trajectory_of(segment.rows_ns, tool), marker[3:], marker[:3]))
+    tool, measured = (_marked(problem, theta, segment, rows) for rows in (tool, segment.rows))
     for span, part in _spans(problem, segment):
         model, rows = problem.model(theta, segment, part), tool[span]
         if state is None:
-            state = _first_state(model, rows[0], start)
+            state = _first_state(model, measured[0], start)
         count = len(rows) - 1
         found = simulation.simulate_rows(
             model, state, rows, np.full(count, ROW_NS / NS_PER_S),
@@ -278,42 +202,37 @@ def simulated(
 
 
 def simulation_of(
-    problem: Problem, theta: Array, segment: Segment, course: Course, shifts: Array
+    problem: Problem, theta: Array, segment: Segment, course: Course
 ) -> tuple[Array, Array]:
     """
-    Return the package's states (M, 13) at the rows, and derivatives (M, 6, q + 12) of its poses.
+    Return the package's states (M, 13) at the rows, and derivatives (M, 6, q) of its poses.
 
-    The derivatives are in body axes, by the unknowns and the first state, along a smooth path:
-    the response to noise of the tool would agree with the same noise in the differences. The path
-    shifts with each unknown (M, 12, q).
+    The derivatives are in body axes, by the unknowns, along a smooth path: the response to noise
+    of the tool would agree with the same noise in the differences.
     """
     steps = int(equilibrium.substeps_for(
         ROW_NS / NS_PER_S, model_step(problem, theta, segment)))
     size = len(theta)
     lengths = np.concatenate([
-        np.full(problem.count, DIFFERENCE), np.full(size - problem.count, QUANTITY_DIFFERENCE),
-        DIFFERENCE * START_STD])
+        np.full(problem.count, DIFFERENCE), np.full(size - problem.count, QUANTITY_DIFFERENCE)])
     is_simulated = np.ones(size, dtype=bool)
     for name in SENSED & problem.rows.keys():
         is_simulated[problem.rows[name]] = False
 
     def run(tool: Array, change: Array) -> Array:
-        return simulated(problem, theta + np.where(is_simulated, change[:size], 0.0), segment,
-                         tool, course.start + change[size:], steps)
+        return simulated(problem, theta + change, segment, tool, course.start, steps)
 
-    unchanged, smooth_tool = np.zeros(size + 12), segment.smooth(course.rows)
-    tools = [course.rows, smooth_tool] + [
-        moved(smooth_tool, lengths[place] * shifts[:, :, place]) for place in range(size)
-    ] + [smooth_tool] * 12
+    smooth_tool, changes = segment.smooth(course.rows), np.diag(lengths)[is_simulated]
     states, smooth, *others = in_threads(
-        run, tools, [unchanged, unchanged, *np.diag(lengths)])
-    columns = np.zeros((len(smooth), 6, size + 12))
+        run, [course.rows, *[smooth_tool] * (1 + len(changes))],
+        [np.zeros(size), np.zeros(size), *changes])
+    columns = np.zeros((len(smooth), 6, size))
     inverse = np.swapaxes(lie.quaternion_to_rotation(smooth[:, 3:7]), 1, 2)
     conjugate = lie.quaternion_conjugate(smooth[:, 3:7])
-    for place, (length, other) in enumerate(zip(lengths, others, strict=True)):
-        columns[:, :3, place] = lie.apply(inverse, other[:, :3] - smooth[:, :3]) / length
+    for place, other in zip(np.flatnonzero(is_simulated), others, strict=True):
+        columns[:, :3, place] = lie.apply(inverse, other[:, :3] - smooth[:, :3]) / lengths[place]
         turn = lie.quaternion_product(conjugate, other[:, 3:7])
-        columns[:, 3:, place] = 2.0 * turn[:, :3] * np.sign(turn[:, 3:]) / length
+        columns[:, 3:, place] = 2.0 * turn[:, :3] * np.sign(turn[:, 3:]) / lengths[place]
     return states, columns
 
 
@@ -336,10 +255,7 @@ def at_stamps(rows_ns: Stamps, values: Array, stamps: Stamps) -> Array:
 
 def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) -> Part:
     """Return a segment's whitened differences, linearised about a course; theta is local."""
-    responses = _responses(problem, theta, segment, course)
-    course = _followed(course, theta, segment, responses)
-    states, columns = simulation_of(
-        problem, theta, segment, course, -_of_path(segment, responses, course.noise_by_theta))
+    states, columns = simulation_of(problem, theta, segment, course)
     stamps = delayed(segment.package.stamps_ns, problem.values(theta), segment.middle)
     used = (stamps >= segment.rows_ns[0]) & (stamps <= segment.rows_ns[-1])
     place = (segment.package.stamps_ns - segment.bins_ns[0] + segment.bin_ns // 2) // (
@@ -353,50 +269,56 @@ def evaluated(problem: Problem, theta: Array, segment: Segment, course: Course) 
     bend = at_stamps(segment.rows_ns, _accelerations(states), stamps)
     starts = np.flatnonzero(np.diff(place[chosen], prepend=-1))
     bins = place[chosen][starts]
-    if problem.has_views(segment):
-        seen = _seen(problem, theta, segment, course, chosen, package, bend)
-        J = at_stamps(segment.rows_ns, columns, stamps)
-        return _part(
-            problem, segment, *_whitened_views(seen, J, course, starts), bins, responses)
-    e, own = _differences(problem, theta, segment, chosen, package, bend)
+    first_ns, delays = int(delayed(
+        segment.bins_ns[:1], problem.values(theta), segment.middle)[0]), stamps - stamps[0]
+    steps = steps_of(int(segment.rows_ns[0]), first_ns, segment.bin_ns, bins)
     counts = np.diff(starts, append=len(chosen))
 
     def means(values: Array) -> Array:
         return (np.add.reduceat(values, starts, axis=0).T / counts).T
 
-    J = at_stamps(segment.rows_ns, columns, stamps[0] + np.rint(
-        means(stamps - stamps[0])).astype(np.int64))
-    J[:, :, :len(theta)] += means(own)
-    return _part(problem, segment, course, Numbers(
-        means(e), J, means(e), 0.0, np.empty(0)), bins, responses)
+    centres = stamps[0] + np.rint(means(delays)).astype(np.int64)
+    if problem.has_views(segment):
+        seen = _seen(problem, theta, segment, course, chosen, package, bend)
+        J = at_stamps(segment.rows_ns, columns, stamps)
+        numbers = _binned_views(seen, J, starts)
+    else:
+        e, own = _differences(problem, theta, segment, chosen, package, bend)
+        J = at_stamps(segment.rows_ns, columns, centres) + means(own)
+        by_pose = np.tile(np.eye(6), (len(J), 1, 1))
+        numbers = Numbers(means(e), J, means(e), 0.0, np.empty(0), by_pose)
+    sensor = _sensor(problem, segment, course, steps, numbers.by_pose, counts, (
+        centres - steps.stamps_ns[steps.places]) / NS_PER_S)
+    motion = _small_motion(problem, theta, segment, course, states, steps)
+    return _part(segment, course, numbers, steps, sensor, motion, states[0, 7:13])
 
 
-def _of_path(segment: Segment, responses: Responses, noise: Array) -> Array:
-    """Return the change (M, 12, q) of the rows of a path by noise (B, 6, q) at the bins."""
-    return np.hstack([
-        at_stamps(segment.bins_ns, filtered(response[:, None, None] * np.eye(6), noise),
-                  segment.rows_ns) for response in responses.path])
+def _small_motion(
+    problem: Problem, theta: Array, segment: Segment, course: Course, states: Array,
+    steps: Steps,
+) -> SmallMotion:
+    """Return the package's small motions about its simulated states (M, 13) at the rows."""
+    model = problem.model(theta, segment)
+    plain: ModelTuple = (model[0][:4], *model[1:])  # without internal strains
+    stamps = steps.stamps_ns
+    middles = stamps[:-1] + np.diff(stamps) // 2
 
+    def amid(rows: Array) -> Array:
+        found = at_stamps(segment.rows_ns, rows, middles)
+        found[:, 3:7] /= np.linalg.norm(found[:, 3:7], axis=1)[:, None]
+        return found
 
-def _followed(
-    course: Course, theta: Array, segment: Segment, responses: Responses
-) -> Course:
-    """Return the course with the noise that follows the unknowns, to first order."""
-    if len(course.theta) != len(theta):  # of a problem with other unknowns
-        return course._replace(
-            theta=theta, noise_by_theta=np.zeros((len(segment.bins_ns), 6, len(theta))))
-    noise = course.noise + course.noise_by_theta @ (theta - course.theta)
-    rows = segment.moved(-_of_path(segment, responses, noise[..., None])[..., 0])
-    return course._replace(rows=rows, noise=noise, theta=theta)
+    return small_motion(plain, amid(_marked(problem, theta, segment, course.rows)), amid(states),
+                        np.diff(stamps) / NS_PER_S)
 
 
 class Numbers(NamedTuple):
     """
     The numbers of a sensor in K bins.
 
-    Values (K, 6) with their derivatives (K, 6, q + 12) by the unknowns and the first state;
-    residuals (K, 6), m and rad; sum of the logarithms of the variances to which the values are
-    relative; smears (K,) of views, rad.
+    Values (K, 6) with their derivatives (K, 6, q) by the unknowns; residuals (K, 6), m and rad;
+    sum of the logarithms of the variances to which the values are relative; smears (K,) of views,
+    rad; derivatives (K, 6, 6) by the pose of the package.
     """
 
     values: Array
@@ -404,6 +326,7 @@ class Numbers(NamedTuple):
     residuals: Array
     logs: float
     smear: Array
+    by_pose: Array
 
 
 def _seen(
@@ -417,18 +340,13 @@ def _seen(
         problem.rows, problem.units, segment.context)
 
 
-def _whitened_views(
-    seen: Seen, J: Array, course: Course, starts: Places
-) -> tuple[Course, Numbers]:
+def _binned_views(seen: Seen, J: Array, starts: Places) -> Numbers:
     """
     Return the views in bins that begin at given views, relative to the noise of their corners.
 
-    J (N, 6, q + 12) are derivatives of the package's poses. The course has the mean derivative of
-    the numbers by the pose: the noise of the tool is much smaller than the package's swing, so
-    that its effect on a view is nearly that on the mean view.
+    J (N, 6, q) are derivatives of the package's poses.
     """
-    derivatives = seen.maps @ J
-    derivatives[:, :, :seen.columns.shape[2]] += seen.columns
+    derivatives = seen.maps @ J + seen.columns
     positive = np.sign(np.einsum('nii->ni', seen.maps))  # as the triangular maps are then unique
     relative = positive / np.sqrt(seen.variance)[:, None]
     root = np.sqrt(np.diff(starts, append=len(relative)))
@@ -436,11 +354,11 @@ def _whitened_views(
     def binned(values: Array) -> Array:
         return (np.add.reduceat(values, starts, axis=0).T / root).T
 
-    by_pose = np.mean(binned(seen.maps * relative[:, :, None]), axis=0)
-    return course._replace(by_pose=by_pose), Numbers(
+    return Numbers(
         binned(seen.residuals * relative), binned(derivatives * relative[:, :, None]),
         seen.scale * binned(seen.residuals) / root[:, None],
-        6.0 * float(np.sum(np.log(seen.variance))), binned(seen.smear) / root)
+        6.0 * float(np.sum(np.log(seen.variance))), binned(seen.smear) / root,
+        binned(seen.maps * relative[:, :, None]))
 
 
 def _differences(
@@ -464,46 +382,69 @@ def _differences(
     return e, columns * problem.units
 
 
-def _spread(values: Array, known: Places, count: int) -> Array:
-    """Return values (count, ...), linear between those (K, ...) at known places (K,)."""
-    x = np.interp(np.arange(count), known, np.arange(len(known)))
-    before = x.astype(np.int64)
-    part = (x - before).reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((1.0 - part) * values[before] + part * values[np.minimum(
-        before + 1, len(known) - 1)])
+def _sensor(
+    problem: Problem, segment: Segment, course: Course, steps: Steps, by_pose: Array,
+    counts: Places, after: Array,
+) -> Sensor:
+    """
+    Return the noise of the means of poses, or that of views relative to their own, in bins.
+
+    Bins have counts (K,) of poses, and mean stamps after their steps (K,), s.
+    """
+    if problem.has_views(segment):
+        white = noise_of_means(np.ones(6), 0.0, 1, 1.0)
+        return Sensor(steps.places, after, by_pose, white, np.zeros((len(counts), 6)))
+    whole = segment.poses_per_bin
+    noise = noise_of_means(course.std, segment.package_noise.correlation, whole,
+                           steps.period / segment.period)
+    missing = np.maximum(whole / counts - 1.0, 0.0)
+    return Sensor(steps.places, after, by_pose, noise, missing[:, None] * course.std**2 / whole)
 
 
 def _part(
-    problem: Problem, segment: Segment, course: Course, numbers: Numbers, known: Places,
-    responses: Responses,
+    segment: Segment, course: Course, numbers: Numbers, steps: Steps, sensor: Sensor,
+    motion: SmallMotion, twist: Array,
 ) -> Part:
-    """Return the numbers of a sensor at known bins (K,), whitened in the frequency domain."""
-    count, size = len(segment.bins_ns), len(course.theta)
-    filters = Filters.of(problem, segment, course, responses.package)
-    series = _spread(np.concatenate(
-        [numbers.values[..., None], numbers.derivatives], axis=2), known, count)
-    noise = np.concatenate([course.noise[..., None], -course.noise_by_theta], axis=2)
-    series[..., :1 + size] -= filtered(filters.response, noise)
-    white = filtered(filters.whitening, series)[known]
-    found = _weighted(white[..., 0], white[..., 1:], course.start)
-    explaining = np.zeros((count, 6, 1 + size))
-    explaining[known] = found.weights[..., None] * np.concatenate(
-        [found.explained[..., None], found.derivatives], axis=2)
-    likeliest = noise + PATH_PART * (filtered(filters.likeliest, explaining) - noise)
-    rows = segment.moved(-_of_path(segment, responses, likeliest[..., :1])[..., 0])
+    """Return the numbers of a sensor, whitened; the twist (6,) is the package's first one."""
+    noise = path_noise(segment, steps.period)
+    to_rates = np.eye(12)  # d' is a change of the twist without that by d
+    to_rates[6:, :6] = -lie_bracket(twist[None])[0]
+    first = to_rates @ np.diag(START_STD**2) @ to_rates.T
+    explained = response(motion, to_rates @ course.start, _change_at(course, steps.stamps_ns))
+    values = numbers.values + np.array([
+        sensor.by_motion(number) @ explained[place] for number, place in enumerate(steps.places)])
+    found = filtered(motion, noise, sensor, first, np.concatenate(
+        [values[..., None], numbers.derivatives], axis=2))
+    white = found.white[..., 0]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        weights = np.sqrt(np.minimum(1.0, CHANCE / np.abs(white)))
+    innovations, J = weights * white, weights[..., None] * found.white[..., 1:]
+    start, change = smoothed(motion, noise, sensor, first, found, weights * innovations)
     std = course.std
-    if not problem.has_views(segment):
-        squares = series[known, :, 0] ** 2
-        total = np.mean(np.minimum(
-            squares, CHANCE**2 * MAD_TO_STD**2 * np.median(squares, axis=0)), axis=0)
-        std = np.maximum(
-            np.sqrt(np.maximum(total - filters.of_tool, 0.1 * total)), MIN_POSE_STD)
+    if segment.views is None:
+        growth = np.maximum(found.variance / sensor.variance, MIN_GROWTH)
+        std = np.maximum(std * np.sqrt(growth), MIN_POSE_STD)
     return Part(
-        found.innovations, numbers.residuals, numbers.logs + filters.logs * len(known),
-        course._replace(rows=rows, noise=likeliest[..., 0], start=found.start,
-                        noise_by_theta=-likeliest[..., 1:]),
-        std, *_blocks(found.derivatives, found.explained, segment.bin_ns / NS_PER_S),
-        numbers.smear)
+        innovations, numbers.residuals, numbers.logs + found.logs,
+        course._replace(rows=_path(segment, steps.stamps_ns, change), stamps_ns=steps.stamps_ns,
+                        change=change, start=np.asarray(np.linalg.solve(to_rates, start))),
+        std, *_blocks(J, innovations, segment.bin_ns / NS_PER_S), numbers.smear)
+
+
+def _change_at(course: Course, stamps_ns: Stamps) -> Array:
+    """Return the change (N, 6) of a course's path at stamps (N,)."""
+    begin = course.stamps_ns[0]
+    known = (course.stamps_ns - begin) / NS_PER_S
+    return np.asarray(CubicSpline(known, course.change)(
+        np.clip((stamps_ns - begin) / NS_PER_S, known[0], known[-1])))
+
+
+def _path(segment: Segment, stamps_ns: Stamps, change: Array) -> Array:
+    """Return the rows (M, 13) of a path that is changed (N, 6) at stamps (N,)."""
+    known = (stamps_ns - stamps_ns[0]) / NS_PER_S
+    seconds = np.minimum((segment.rows_ns - stamps_ns[0]) / NS_PER_S, known[-1])
+    curve = CubicSpline(known, change)
+    return segment.moved(np.hstack([curve(seconds), curve(seconds, 1)]))
 
 
 def _accelerations(rows: Array) -> Array:
@@ -511,37 +452,6 @@ def _accelerations(rows: Array) -> Array:
     rates = np.gradient(rows[:, 7:], ROW_NS / NS_PER_S, axis=0)
     rates[:, :3] += np.cross(rows[:, 10:], rows[:, 7:10])
     return rates
-
-
-class Weighted(NamedTuple):
-    """
-    Innovations (N, 6) weighted by Huber, without the effect of the first state.
-
-    Further fields are the derivatives (N, 6, q), the innovations (N, 6) that they explain, the
-    likeliest change (12,) of the first state, and the weights (N, 6).
-    """
-
-    innovations: Array
-    derivatives: Array
-    explained: Array
-    start: Array
-    weights: Array
-
-
-def _weighted(white: Array, J: Array, start: Array) -> Weighted:
-    """Return weighted innovations; J (N, 6, q + 12) includes derivatives by the first state."""
-    with np.errstate(divide='ignore', invalid='ignore'):
-        weights = np.sqrt(np.minimum(1.0, CHANCE / np.abs(white)))
-    white, J = white * weights, J * weights[..., None]
-    size = J.shape[2] - 12
-    first, rest = J[..., size:].reshape(-1, 12), J[..., :size].reshape(-1, size)
-    prior = START_STD**-2
-    inverse = np.linalg.inv(first.T @ first + np.diag(prior))
-    change = inverse @ (first.T @ white.ravel() - prior * start)
-    carried = inverse @ (first.T @ rest)
-    return Weighted(
-        white, (rest - first @ carried).reshape(*white.shape, size),
-        white - (first @ change).reshape(white.shape), start + change, weights)
 
 
 def _blocks(J: Array, r: Array, period: float) -> tuple[Array, Array]:

@@ -87,31 +87,23 @@ class Course(NamedTuple):
     ----------
     rows : ndarray (M, 13)
         States of the tool along its path.
-    noise : ndarray (B, 6)
-        Noise of the tool's poses at the bins that the path is without, m and rad.
+    stamps_ns, change : ndarray (N,), (N, 6)
+        Stamps, ns, and change of the measured path there, m and rad in body axes.
     start : ndarray (12,)
         Change of the package's first state from rest, m, rad, m/s and rad/s.
     std : ndarray (6,)
         Noise of the package's poses, m and rad.
     corners : CornerNoise
         Noise of the corners of a tag.
-    by_pose : ndarray (6, 6)
-        Mean derivative of a sensor's numbers by the pose of the package; one for a body.
-    theta : ndarray (q,)
-        Unknowns of the recording with which the noise is the likeliest; (0,) as measured.
-    noise_by_theta : ndarray (B, 6, q)
-        Derivative of the noise by the unknowns.
 
     """
 
     rows: Array
-    noise: Array
+    stamps_ns: Stamps
+    change: Array
     start: Array
     std: Array
     corners: CornerNoise = USUAL_NOISE
-    by_pose: Array = np.eye(6)
-    theta: Array = np.zeros(0)
-    noise_by_theta: Array = np.zeros((0, 6, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,10 +233,14 @@ class Segment:
         return self.views is not None or self.period * LOW_RATE_HZ > 1.0
 
     @property
+    def poses_per_bin(self) -> int:
+        """Number of the package's poses in a bin without missing ones."""
+        return -(-ROW_NS // round(self.period * NS_PER_S))
+
+    @property
     def bin_ns(self) -> int:
         """Time between bins, ns: whole periods of the poses, for equal numbers of poses."""
-        period = round(self.period * NS_PER_S)
-        return period * -(-ROW_NS // period)
+        return round(self.period * NS_PER_S) * self.poses_per_bin
 
     @cached_property
     def bins_ns(self) -> Stamps:
@@ -264,7 +260,7 @@ class Segment:
     @cached_property
     def first(self) -> Course:
         """The motion as measured."""
-        return Course(self.rows, np.zeros((len(self.bins_ns), 6)), np.zeros(12),
+        return Course(self.rows, self.rows_ns[[0, -1]], np.zeros((2, 6)), np.zeros(12),
                       self.package_noise.std, self.views.tag.noise if self.views else USUAL_NOISE)
 
     def moved(self, shift: Array) -> Array:
@@ -292,11 +288,11 @@ class Segment:
 
 def moved(rows: Array, shift: Array) -> Array:
     """
-    Return states (M, 13) of the tool after a change (M, 12) of its path.
+    Return states (M, 13) of the tool after a change (M, 12) or (12,) of its path.
 
     The change is of pose and twist in body axes, m, rad, m/s and rad/s.
     """
-    d, phi, dv, dw = np.split(shift, 4, axis=1)
+    d, phi, dv, dw = np.split(np.broadcast_to(shift, (len(rows), 12)), 4, axis=1)
     v, w = rows[:, 7:10], rows[:, 10:]
     R = lie.quaternion_to_rotation(rows[:, 3:7])
     return np.hstack([

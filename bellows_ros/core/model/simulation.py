@@ -216,6 +216,13 @@ def simulate_rows(
     return out
 
 
+def accelerations(model: ModelTuple, tool: Array, body: Array) -> Array:
+    """Return the change of twists (N, 6) of bodies (N, 13) without internal strains, a second."""
+    out = np.empty((len(tool), 6))
+    _accelerate(model, np.ascontiguousarray(tool), np.ascontiguousarray(body), out)
+    return out
+
+
 @kernel
 def row_state(row: Array) -> State:
     """Return the state in one row of 13 numbers."""
@@ -275,3 +282,12 @@ def _simulate(
         body = kernels.advance(model, body, before, after, durations[k], substeps[k])
         write_row(out[k + 1], body)
         before = after
+
+
+@entry
+def _accelerate(model: ModelTuple, tool: Any, body: Any, out: Array) -> None:
+    for k in range(len(tool)):
+        linear, angular = kernels.body_acceleration(
+            model, row_state(tool[k]), row_state(body[k]))
+        out[k, 0], out[k, 1], out[k, 2] = linear
+        out[k, 3], out[k, 4], out[k, 5] = angular

@@ -204,11 +204,10 @@ def test_the_likeliest_path_takes_nothing_from_the_step_to_the_unknowns():
             at = evaluated(problem, theta, renewed(at)[0])
         return at.information.solve(at.slope)
 
-    there = step_from(problem.start)
-    for number in range(len(stds)):
-        moved = problem.start + 2.0 * stds * np.eye(len(stds))[number]
-        back = (step_from(moved) - there)[number] / stds[number]
-        assert -2.4 < back < -1.4, number  # -0.8 with derivatives along a fixed path
+    for number, std in enumerate(stds):
+        change = std * np.eye(len(stds))[number]
+        ahead, back = (step_from(problem.start + sign * change)[number] for sign in (1.0, -1.0))
+        assert -1.4 < (ahead - back) / (2.0 * std) < -0.7, number  # -0.3 with a cup at rest
 
 
 def seen_as_tag(own):
@@ -409,7 +408,7 @@ def test_noise_of_slow_poses_with_a_memory_is_learned(has_tails):
     assert found.converged
     if not has_tails:  # else its median is that of a smaller one
         ((course,),) = found.courses.pool.results(tuple, found.courses)
-        assert_allclose(course.std, np.std(noise, axis=0), rtol=0.2)
+        assert_allclose(course.std, np.repeat(CAMERA, 3), rtol=0.12)
 
 
 def test_rubber_that_relaxes_is_found_with_its_static_stiffness():
