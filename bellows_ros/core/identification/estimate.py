@@ -31,12 +31,6 @@ import numpy as np
 DAMPING = 1e-2
 """Damping of the first step, and after a failed one: it limits poorly determined unknowns."""
 
-ANDERSON_DEPTH = 3
-"""Number of previous steps mixed into a step."""
-
-MAX_ANDERSON_WEIGHT = 0.9
-"""Largest weight of a previous step: 0.9 for a step that is 10 times too long."""
-
 NOISE_TOLERANCE = 0.03
 """Relative change of the noise of slow poses below which the noise is kept."""
 
@@ -403,8 +397,8 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         return replace(start, converged=False)
     if at.chi2 > GROSS_CHI2:  # which paths would explain in part
         return replace(at, converged=is_last)
-    history, damping = list[tuple[Array, Array]](), 0.0
-    used, best, least = np.ones(len(at.theta), dtype=bool), at, math.inf
+    damping, best, least = 0.0, at, math.inf
+    used = np.ones(len(at.theta), dtype=bool)
     for number in range(MAX_STEPS[1]):
         if not at.is_finite or number >= MAX_STEPS[1] // 2 and at.robust_chi2 > MISFIT_CHI2:
             break
@@ -416,16 +410,15 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         if least < TOLERANCES[1]:
             break
         new = None
-        for trial in (_anderson_step(step, at.information, history), SHORTER * step):
+        for trial in (step, SHORTER * step):
             new = _moved(at, trial, courses)
             if new is not None and new.deviance < at.deviance + (
                     at.total.number * math.log(MAX_NOISE_CHI2)):
                 break
             new = None
         if new is None:
-            history, damping = [], max(10.0 * damping, DAMPING)
+            damping = max(10.0 * damping, DAMPING)
             continue
-        history = [*history, (step, new.theta - at.theta)][-ANDERSON_DEPTH:]
         at, damping = new, 0.1 * damping
         report(at.cup, at.chi2)
     return replace(best, converged=least < LOOSE_TOLERANCE * best.colour)
@@ -534,20 +527,3 @@ def _whitened(
         np.sum(part.residuals**2, axis=0)) for part in parts for e in [part.innovations])
     return parts, (sums, *(sum(np.sum(getattr(part, name), axis=0) for part in parts)
                            for name in ('information', 'slope')))
-
-
-def _anderson_step(step: Array, H: Arrow, history: Sequence[tuple[Array, Array]]) -> Array:
-    """
-    Return the change by a step, mixed with previous steps and their resulting changes.
-
-    Anderson's method (1965) is used, because with inaccurate K and P the derivatives have noise
-    and change between steps, so that plain steps are too short or too long.
-    """
-    if not history:
-        return step
-    steps, changes = map(np.array, zip(*history, strict=True))
-    differences = np.diff(np.vstack([steps, step]), axis=0)
-    squares = differences @ np.transpose(list(map(H.times, differences)))
-    weights = np.linalg.pinv(squares, 0.1**2, hermitian=True) @ (differences @ H.times(step))
-    weights *= min(1.0, MAX_ANDERSON_WEIGHT / max(np.abs(weights).max(), 1e-99))
-    return np.asarray(step - weights @ (changes + differences))
