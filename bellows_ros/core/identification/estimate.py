@@ -398,7 +398,7 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
     if at.chi2 > GROSS_CHI2:  # which paths would explain in part
         return replace(at, converged=is_last)
     damping, best, least = 0.0, at, math.inf
-    used = np.ones(len(at.theta), dtype=bool)
+    used, before = np.ones(len(at.theta), dtype=bool), np.zeros(len(at.theta))
     for number in range(MAX_STEPS[1]):
         if not at.is_finite or number >= MAX_STEPS[1] // 2 and at.robust_chi2 > MISFIT_CHI2:
             break
@@ -409,8 +409,8 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
             best, least = at, length
         if least < TOLERANCES[1]:
             break
-        new = None
-        for trial in (step, SHORTER * step):
+        new, size = None, 0.5 if before @ at.information.times(step) < 0.0 else 1.0
+        for trial in (size * step, SHORTER * step):  # half a step back, as two may alternate
             new = _moved(at, trial, courses)
             if new is not None and new.deviance < at.deviance + (
                     at.total.number * math.log(MAX_NOISE_CHI2)):
@@ -419,7 +419,7 @@ def settled(start: Solution, report: Report = no_report) -> Solution:
         if new is None:
             damping = max(10.0 * damping, DAMPING)
             continue
-        at, damping = new, 0.1 * damping
+        at, before, damping = new, trial, 0.1 * damping
         report(at.cup, at.chi2)
     return replace(best, converged=least < LOOSE_TOLERANCE * best.colour)
 
