@@ -35,8 +35,12 @@ ON_SUPPORT = np.repeat([5e-3, 0.02, 0.0, 0.0], 3)
 """Standard deviations of the state of a package at rest on a support, in which a cup that grips
 it is bent: m, rad, m/s and rad/s."""
 
-TOUCHDOWN = 0.2
+TOUCHDOWN = 0.05
 """Time in which a support takes over the weight of a lowered package, s."""
+
+FRICTION = 0.2
+"""Moment of a support about the vertical, relative to its moments about level axes: the friction
+coefficient of smooth packages."""
 
 FLAT = 0.98
 """Smallest cosine between the cup's axis and gravity of a package that is turned flat."""
@@ -146,6 +150,19 @@ class Correction:
         g = np.array(t3.apply_transposed(t3.rotation_matrix(body[1]), self.nominal[2]))
         return np.asarray(self.weight / max(float(np.linalg.norm(g)), 1e-9) * g)
 
+    def _support_std(self, estimate: Estimate) -> Array:
+        """
+        Return the standard deviations (6,) of a support's wrench in lip axes, N and N m.
+
+        Its force is of the size of the weight; its moment, with half of the weight at the distance
+        of the centre of mass, turns the package flat; friction keeps it from turning.
+        """
+        com, variance = np.array(self.nominal[1][1]), np.diag(estimate.covariance)[COM_ROWS]
+        distance = math.sqrt(0.5 * (np.square(com) + variance)[:2].sum())
+        moment = 0.5 * self.weight * distance
+        return np.asarray(np.r_[
+            self._weight_in(estimate.body), moment, moment, FRICTION * moment])
+
     def start(
         self, stamp_ns: int, tool: State, body: State, initial: Estimate, std: Array | None,
         rests_on_support: bool,
@@ -180,7 +197,7 @@ class Correction:
         walk = self._walk
         if support == CONTACT:
             walk = walk.copy()
-            walk[WRENCH_ROWS[:3]] += np.square(self._weight_in(before.body)) / TOUCHDOWN
+            walk[WRENCH_ROWS] += np.square(self._support_std(before)) / TOUCHDOWN
         prior = self._prior_after_slip if before.has_slipped else self._prior_of_differing
         seen = MeasuredPose(
             measurement.position, measurement.quaternion_xyzw, measurement.noise, self._marker,

@@ -288,13 +288,13 @@ class Observer:
         assert prediction is not None
         self.body = prediction[0]
         event = self._support.follow(stamp_ns, end)
-        if not self._estimates:
+        if not self._estimates and not (event == 'meets' and self._begin_estimates()):
             return prediction
         while self._pending and self._pending[0].stamp_ns <= stamp_ns:
             prediction = None
             self._measurements.append(self._pending.pop(0))
             self._reprocess(len(self._measurements) - 1)
-        if event == 'meets' and self.has_sensor:
+        if event == 'meets':
             prediction, at = None, bisect_left(self._measurements, (stamp_ns + 1,))
             self._measurements.insert(
                 at, NO_MEASUREMENT._replace(stamp_ns=stamp_ns, meets_support=True))
