@@ -6,14 +6,15 @@ recorded speed, and reports the errors of the predicted poses.
 """
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from itertools import count
 from pathlib import Path
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from bellows_ros import plots
 from bellows_ros.core import configure_process
@@ -38,7 +39,9 @@ MAX_ERROR = 2.0
 TIMEOUT = 300.0
 """Longest wait for an answer of the predictor, s; without a cache it compiles for a minute."""
 
-TOPICS = {'topics.tool_twist': 'tool_arm/twist', 'topics.tool_pose': 'tool_arm/pose'}
+TWIST_TOPIC, POSE_TOPIC = 'tool_arm/twist', 'tool_arm/pose'
+
+TOPICS = {'topics.tool_twist': TWIST_TOPIC, 'topics.tool_pose': POSE_TOPIC}
 """Played topics by the parameters with their recorded names."""
 
 PERIOD = 0.05
@@ -46,6 +49,12 @@ PERIOD = 0.05
 
 QUEUE = 10_000
 """Length of the queues, messages, so that none is lost while a process is busy."""
+
+STILL_BEFORE_NS = 3600 * NS_PER_S
+"""Time by which the stamps of the tool at rest are before the recording, ns."""
+
+STAMP = slice(4, 12)
+"""Place of the stamp of the header in the bytes of a message."""
 
 Rows = Sequence[tuple[str, int, bytes]]
 """Messages to play: topic, time of recording (ns) and bytes."""
@@ -147,75 +156,114 @@ def _predict_live(
     if not answers:
         raise BellowsError(f'The predictor does not answer all poses. See its log, {log}, and '
                            'whether DDS may use the loopback interface.')
-    sent, arrived, data = zip(*answers, strict=True)
-    stamps, _, poses = zip(*map(messages.Decoder(messages.POSE), data), strict=True)
+    decode = messages.Decoder(messages.POSE)
+    stamps, _, poses = zip(*(decode(answer.data) for answer in answers), strict=True)
     numbers = np.array(poses)
     return (Trajectory(np.array(stamps), numbers[:, :3], quaternion_to_rotation(numbers[:, 3:])),
-            np.subtract(arrived, sent) / NS_PER_S)
+            np.array([each.arrived_ns - each.sent_ns for each in answers]) / NS_PER_S)
 
 
-def _play(
-    rows: Rows, context: Any, is_running: Callable[[], bool]
-) -> list[tuple[int, int, bytes]]:
+class Answer(NamedTuple):
+    """An answer of the predictor: times of sending and arrival (ns), and the message."""
+
+    sent_ns: int
+    arrived_ns: int
+    data: bytes
+
+
+def _play(rows: Rows, context: Any, is_running: Callable[[], bool]) -> list[Answer]:
     """
-    Play messages in time; return times of sending and arrival, and answer; none if one is missing.
+    Play messages in time; return the answers to all poses, none if an answer is missing.
 
     Before, the tool stands still, an hour earlier, until the predictor answers: messages arrive in
-    both directions then, and kernels are compiled. A reset discards that.
+    both directions then, and kernels are compiled. A reset discards these poses.
     """
-    from geometry_msgs.msg import PoseStamped, TwistStamped
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
-    from std_srvs.srv import Trigger
+    player = Player(context, is_running)
+    if not (player.waits_until(player.is_connected)
+            and player.stands_until_answered(rows[0][1] - STILL_BEFORE_NS)
+            and player.resets()):
+        return []
+    sent_ns = player.send(rows)
+    if not player.waits_until(lambda: sent_ns.keys() <= player.answers.keys()):
+        return []
+    return [Answer(sent_ns[stamp], *player.answers[stamp]) for stamp in sent_ns]
 
-    node, executor = Node('demo', context=context), SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    kinds = dict(zip(TOPICS.values(), (TwistStamped, PoseStamped), strict=True))
-    writers = {name: node.create_publisher(kind, name, QUEUE) for name, kind in kinds.items()}
-    answers = dict[bytes, tuple[int, bytes]]()  # by their stamps
-    reset = node.create_client(Trigger, 'predictor/reset')
 
-    def receive(data: Any) -> None:
-        answers.setdefault(data[4:12], (time.monotonic_ns(), data))
+class Player:
+    """
+    A node that sends messages of the tool to the predictor and collects its answers.
 
-    node.create_subscription(PoseStamped, 'package/pose', receive, QUEUE, raw=True)
+    Attributes
+    ----------
+    answers : dict
+        Time of arrival (ns) and message of the first answer, by the bytes of its stamp.
 
-    def wait(is_done: Callable[[], bool]) -> bool:
+    """
+
+    def __init__(self, context: Any, is_running: Callable[[], bool]) -> None:
+        """Connect to a predictor that runs as long as a function says."""
+        from geometry_msgs.msg import PoseStamped, TwistStamped
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from std_srvs.srv import Trigger
+
+        node = Node('demo', context=context)
+        self.answers = dict[bytes, tuple[int, bytes]]()
+        self._is_running = is_running
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(node)
+        self._publishers = {
+            topic: node.create_publisher(kind, topic, QUEUE)
+            for topic, kind in ((TWIST_TOPIC, TwistStamped), (POSE_TOPIC, PoseStamped))}
+        self._reset = node.create_client(Trigger, 'predictor/reset')
+        self._reset_request = Trigger.Request()
+        node.create_subscription(PoseStamped, 'package/pose', self._receive, QUEUE, raw=True)
+
+    def _receive(self, data: Any) -> None:
+        """Keep the first answer with a stamp."""
+        self.answers.setdefault(data[STAMP], (time.monotonic_ns(), data))
+
+    def waits_until(self, is_done: Callable[[], bool]) -> bool:
+        """Receive until something is done; return whether it is before the time is over."""
         deadline = time.monotonic() + TIMEOUT
-        while not (done := is_done()) and is_running() and time.monotonic() < deadline:
-            executor.spin_once(timeout_sec=PERIOD)
+        while not (done := is_done()) and self._is_running() and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=PERIOD)
         return done
 
-    still_ns, at_rest = rows[0][1] - 3600 * NS_PER_S, (6 * [0.0], [*(6 * [0.0]), 1.0])
+    def is_connected(self) -> bool:
+        """Return whether the predictor subscribes to all topics and offers its service."""
+        return self._reset.service_is_ready() and all(
+            each.get_subscription_count() for each in self._publishers.values())
 
-    def stand_still() -> bool:
-        nonlocal still_ns
-        still_ns += round(PERIOD * NS_PER_S)
-        for writer, kind, numbers in zip(
-                writers.values(), (messages.TWIST, messages.POSE), at_rest, strict=True):
-            writer.publish(messages.pack(kind, ('world',), still_ns, *numbers))
-        return bool(answers)
+    def stands_until_answered(self, begin_ns: int) -> bool:
+        """Send poses of a tool at rest, stamped from a time on; return whether one is answered."""
+        stamps_ns = count(begin_ns, round(PERIOD * NS_PER_S))
 
-    if not (wait(lambda: reset.service_is_ready() and all(
-            each.get_subscription_count() for each in writers.values()))
-            and wait(stand_still) and wait(reset.call_async(Trigger.Request()).done)):
-        return []
-    sent = _sent(rows, writers, executor)
-    return [(sent_ns, *answers[stamp]) for stamp, sent_ns in sent.items()] if wait(
-        lambda: sent.keys() <= answers.keys()) else []
+        def stand_still() -> bool:
+            stamp_ns = next(stamps_ns)
+            for topic, kind, numbers in ((TWIST_TOPIC, messages.TWIST, 6 * [0.0]),
+                                         (POSE_TOPIC, messages.POSE, [*(6 * [0.0]), 1.0])):
+                self._publishers[topic].publish(
+                    messages.pack(kind, ('world',), stamp_ns, *numbers))
+            return bool(self.answers)
 
+        return self.waits_until(stand_still)
 
-def _sent(rows: Rows, writers: Mapping[str, Any], executor: Any) -> dict[bytes, int]:
-    """Send messages in time; return the times (ns) at which the poses were sent, by stamp."""
-    sent, of_poses = dict[bytes, int](), TOPICS['topics.tool_pose']
-    ahead_ns = time.monotonic_ns() - rows[0][1]
-    for name, log_ns, data in rows:
-        while (left_ns := log_ns + ahead_ns - time.monotonic_ns()) > 0:
-            executor.spin_once(timeout_sec=left_ns / NS_PER_S)
-        if name == of_poses:
-            sent[data[4:12]] = time.monotonic_ns()
-        writers[name].publish(data)
-    return sent
+    def resets(self) -> bool:
+        """Reset the prediction; return whether the predictor has confirmed it."""
+        return self.waits_until(self._reset.call_async(self._reset_request).done)
+
+    def send(self, rows: Rows) -> dict[bytes, int]:
+        """Send messages in time; return the times (ns) at which the poses were sent, by stamp."""
+        sent_ns = dict[bytes, int]()
+        ahead_ns = time.monotonic_ns() - rows[0][1]
+        for topic, log_ns, data in rows:
+            while (left_ns := log_ns + ahead_ns - time.monotonic_ns()) > 0:
+                self._executor.spin_once(timeout_sec=left_ns / NS_PER_S)
+            if topic == POSE_TOPIC:
+                sent_ns[data[STAMP]] = time.monotonic_ns()
+            self._publishers[topic].publish(data)
+        return sent_ns
 
 
 if __name__ == '__main__':

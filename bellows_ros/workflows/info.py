@@ -1,6 +1,6 @@
 """Contents and quality of a recording: topics, rates, gaps, and their probable roles."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import os
 from pathlib import Path
 from types import MappingProxyType
@@ -243,12 +243,15 @@ def _with_roles(
     findings = [Finding('left_out', Level.WARN, {
         'part': topic.name, 'reason': topic.problem}) for topic in described if topic.problem]
     findings += [remark for topic in described if topic.name in used for remark in topic.remarks]
-    streams = tuple(poses[guess.topic] for guess in (tool, package) if guess)
-    if any(timing(stream.stamps_ns).rate_hz < recording.LOW_RATE_HZ for stream in streams):
+    rates_hz = [timing(poses[guess.topic].stamps_ns).rate_hz for guess in (tool, package) if guess]
+    if any(rate_hz < recording.LOW_RATE_HZ for rate_hz in rates_hz):
         settings['fit.method'] = 'output_error'
-    if len(streams) == 2:
-        findings = _both_bodies(
-            pair, streams, twist and twists[twist.topic], settings, findings, offset)
+    if tool and package:
+        deduced = _both_bodies(
+            pair, poses[tool.topic], poses[package.topic], twist and twists[twist.topic],
+            twist.frame if twist else 'world', offset, findings)
+        settings |= deduced.settings
+        findings = deduced.findings
     else:
         several = [topic.name for topic in described if bags.has_several_bodies(topic.type_name)]
         findings.append(Finding('needs_both_poses', numbers={
@@ -264,49 +267,68 @@ def _vacuum_signal(described: Sequence[TopicInfo]) -> str:
     return ''
 
 
+class Deduced(NamedTuple):
+    """Settings deduced from a recording, and findings."""
+
+    settings: dict[str, Any]
+    findings: list[Finding]
+
+
 def _both_bodies(
-    pair: BodyPair | None, streams: Sequence[PoseStream], twist: TwistStream | None,
-    settings: dict[str, Any], findings: list[Finding], given_offset: str
-) -> list[Finding]:
-    """Add settings on both poses; return the findings."""
-    tool, package = streams
+    pair: BodyPair | None, tool: PoseStream, package: PoseStream, twist: TwistStream | None,
+    twist_frame: str, given_offset: str, of_topics: Sequence[Finding],
+) -> Deduced:
+    """
+    Return the settings from the poses of tool and package, and the findings with those of topics.
+
+    Faults make other findings doubtful, and are then the only findings. `pair` is the pair of
+    bodies recognised by its motion, and `given_offset` the user's tool_pose.offset.
+    """
     R = alignment.world_rotation(pair.world if pair else 'z_up')
     offset = '' if given_offset else upright_offset(tool.rotation, R)
-    outward = [*tool_z(RecordedPoses(tool, package, R))] if offset else []
-    frame = settings.get('tool_twist.frame', 'world')
+    of_axis = [*tool_z(RecordedPoses(tool, package, R))] if offset else []
     tool, twist = streams_at_tip(tool, twist, tip_of(Values(
-        {'tool_pose.offset': offset or given_offset})), frame == 'world')
-    remarked = pose_remarks(RecordedPoses(tool, package, R, twist=twist, twist_frame=frame))
-    found = [remark for remark in remarked if remark.code != 'tool_z']  # has a setting
-    is_wrong = any(each.level == Level.ERROR for each in found)
-    separate = None if is_wrong else _why_separate(pair, tool, package)
-    more: list[Finding] = [separate] if separate else []
+        {'tool_pose.offset': offset or given_offset})), twist_frame == 'world')
+    remarks = pose_remarks(RecordedPoses(tool, package, R, twist=twist, twist_frame=twist_frame))
+    downward = [remark for remark in remarks if remark.code == 'tool_z']  # has a setting
+    of_poses = [remark for remark in remarks if remark.code != 'tool_z']
+    separate = None if _faults(of_poses) else _why_separate(pair, tool, package)
+    settings, of_rest = dict[str, Any](), list[Finding]()
     if separate:
         of_tag = sensor_findings(package, package.corners is not None)
-        free = ('time_offset', 'package_marker', 'scale') if of_tag else (
-            'time_offset', 'package_marker')
-        settings |= {
-            'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
-            'recording.package_frame': 'com', 'fit.free': free}
-        found += of_tag
-        more.append(Finding('freed', Level.OK, {'names': free}))
+        settings, freed = _separate_settings(bool(of_tag))
+        of_poses += of_tag
+        of_rest += [separate, freed]
     elif pair:
         settings['recording.world'] = pair.world
     if pair:
-        at_rest, of_rest = _initial_rest(pair, tool, package, bool(separate))
-        settings |= at_rest
-        more += of_rest
-    if not (separate or any(each.level == Level.ERROR for each in remarked)):
-        found += _prepared_remarks(tool, package, settings)
-    wrong = [each for each in found if each.level == Level.ERROR]
-    if wrong:  # other findings are doubtful then
-        return wrong
-    down = [remark for remark in remarked if remark.code == 'tool_z']
-    if down and not settings.get('recording.align_at_rest'):
-        outward, offset = down, FLANGE_OUTWARD
+        aligned, findings = _initial_rest(pair, tool, package, bool(separate))
+        settings['recording.align_at_rest'] = aligned
+        of_rest += findings
+    if not (separate or _faults(remarks)):
+        of_poses += _prepared_remarks(tool, package, settings)
+    if faults := _faults(of_poses):
+        return Deduced(settings, faults)
+    if downward and not settings.get('recording.align_at_rest'):
+        of_axis, offset = downward, FLANGE_OUTWARD
     if offset:
         settings['tool_pose.offset'] = offset
-    return [*outward, *findings, *found, *more]
+    return Deduced(settings, [*of_axis, *of_topics, *of_poses, *of_rest])
+
+
+def _faults(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings that are errors."""
+    return [each for each in findings if each.level == Level.ERROR]
+
+
+def _separate_settings(is_tag: bool) -> tuple[dict[str, Any], Finding]:
+    """Return the settings for poses in two worlds or by two clocks, and the finding on them."""
+    free: tuple[str, ...] = ('time_offset', 'package_marker')
+    if is_tag:
+        free = (*free, 'scale')
+    settings = {'fit.method': 'output_error', 'recording.package_world': checks.ESTIMATE,
+                'recording.package_frame': 'com', 'fit.free': free}
+    return settings, Finding('freed', Level.OK, {'names': free})
 
 
 def _prepared_remarks(
@@ -345,9 +367,9 @@ def _why_separate(
 
 def _initial_rest(
     pair: BodyPair, tool_poses: PoseStream, package_poses: PoseStream, separate: bool
-) -> tuple[dict[str, Any], list[Finding]]:
+) -> tuple[bool, list[Finding]]:
     """
-    Return the settings of the initial standstill, and findings.
+    Return recording.align_at_rest by the initial standstill, and findings.
 
     Distance and relative rotation of bodies in two worlds are not evaluated.
     """
@@ -365,4 +387,4 @@ def _initial_rest(
         findings.append(Finding('short_rest', Level.WARN, {'seconds': rest.seconds}))
     if not separate:
         findings += rest.remarks
-    return {'recording.align_at_rest': aligned}, findings
+    return aligned, findings
