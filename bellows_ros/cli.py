@@ -226,9 +226,8 @@ def identify(arguments: Any, console: 'Console') -> CommandOutcome:
     """
     Identify a cup's stiffness K and damping P from recordings.
 
-    The parameter file has the given quantities (the package, the cup's length, the topics), the
-    method, and optional recordings of standstills. --release identifies, with a given cup, the
-    release from recordings of drops.
+    The parameter file has the given quantities (the package, the cup's length, the topics) and
+    the method. --release identifies, with a given cup, the release from recordings of drops.
 
     For example:
       bellows identify bags/identification --params bags/package.yaml --out cup.yaml

@@ -32,13 +32,12 @@ BOOTSTRAPPED = '_ROS_WHEELS_BOOTSTRAP_COMPLETE'
 
 RESTING = {
     'kind': 'static', 'rest_duration': 1.5,
-    'static': {'move': 0.5, 'hold': 3.0, 'poses': [
-        {'rpy': [0.3, 0.0, 0.0]}, {'rpy': [0.0, 0.3, 0.0]}]},
+    'static': {'move': 0.5, 'hold': 3.0, 'poses': [{'rpy': [0.0, 0.0, 0.0]}]},
     'tool': {'rate_hz': 100.0, 'noise': {'position': 5e-5, 'rotation': 1e-4},
              'twist': {'publish': False}},
     'package': {'rate_hz': 100.0, 'noise': {'position': 1e-4, 'rotation': 5e-4}},
 }
-"""A motion that holds a package upright, then tilted twice."""
+"""A motion that holds a package upright."""
 
 WAIT_FACTOR = 10.0
 """Ratio of the time that passes to processor time, for waiting on a busy machine."""
@@ -190,7 +189,7 @@ def shipped(root, known, true_cup):
 
 @pytest.fixture(scope='session')
 def weights(tmp_path_factory, true_cup):
-    """Return recordings of three standstills, one upright and two tilted, with their masses."""
+    """Return recordings of packages at rest, with their masses."""
     from bellows_ros.workflows.simulate import simulate_recording
 
     folder, found = tmp_path_factory.mktemp('weights'), {}

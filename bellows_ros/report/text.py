@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from .findings import listed, many
+from .findings import listed
 from .findings import text as text_of
 
 if TYPE_CHECKING:
@@ -162,8 +162,7 @@ def print_identification(result: 'Identification', out: Any) -> None:
         if result.refusals:
             out.line('K and P of the refused fit, for diagnosis only:')
         print_cup(fit, out)
-    still = f', with {many(fit.standstills[0], "standstill")}' if fit.standstills else ''
-    out.paragraph(f'{fit.samples_used} samples used{still}, {fit.samples_rejected} rejected.')
+    out.paragraph(f'{fit.samples_used} samples used, {fit.samples_rejected} rejected.')
     out.paragraph(*result.notes)
     out.warn(*result.warnings)
 

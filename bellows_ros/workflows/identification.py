@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-import math
 from typing import Any
 
 from bellows_ros.core.findings import Finding, Level
@@ -36,7 +35,6 @@ from bellows_ros.workflows.recordings import (
     Failed,
     offset_findings,
 )
-from bellows_ros.workflows.static import StaticResult
 import numpy as np
 
 UNKNOWN_STD = 1e9
@@ -66,8 +64,6 @@ class Identification(CommandResult):
         Validity range of the fit.
     recordings : tuple of Recording
         The first of the used recordings, kept for later steps.
-    static : StaticResult or None
-        Result of the recordings of standstills, None without any.
     verdict : FitVerdict
         Quality of the cup and of the given quantities; empty without an unreduced recording.
     failed : tuple of Failed
@@ -83,7 +79,6 @@ class Identification(CommandResult):
     estimates: Estimates
     envelope: validity_range.Envelope
     recordings: tuple[Recording, ...] = ()
-    static: StaticResult | None = None
     verdict: FitVerdict = UNTESTED
     failed: tuple[Failed, ...] = ()
     assumed: tuple[str, ...] = ()
@@ -133,12 +128,9 @@ class Identification(CommandResult):
         errors: dict[str, Any] = {
             f'cup.{name}': tuple(np.minimum(getattr(self.fit, name), UNKNOWN_STD).ravel().tolist())
             for name in ('stiffness_std', 'damping_std')}
-        estimated = self.static and self.static.length
-        std = estimated.total_std if estimated else math.inf
-        if 'cup.length' in self.found:
-            std = self.found['cup.length'].std
-        if np.isfinite(std):
-            errors['cup.length_std'] = min(float(np.squeeze(std)), 1.0)
+        length = self.found.get('cup.length')
+        if length and np.isfinite(length.std):
+            errors['cup.length_std'] = min(float(np.squeeze(length.std)), 1.0)
         return {**values, **errors, **self.envelope.parameters()}
 
     def cell_parameters(self) -> dict[str, Any]:
@@ -182,13 +174,9 @@ class Identification(CommandResult):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings on clocks, estimates, standstills, and changed given quantities."""
-        found = [(name, self.found[name]) for name in self.estimates.asked]
-        if self.static and (length := self.static.length):
-            found.append(('cup.length', ParameterEstimate(
-                length.length, length.total_std, 'm by loads alone')))
+        """Findings on clocks, estimates, and changed given quantities."""
         return (*offset_findings(zip(self.bags, self.estimates.delays, strict=False)),
-                *(estimate_finding(name, *each) for name, each in found),
+                *(estimate_finding(name, *self.found[name]) for name in self.estimates.asked),
                 *self.verdict.corrections)
 
     @property
@@ -213,16 +201,12 @@ class Identification(CommandResult):
         """Warnings: about the input, the fit, the recordings."""
         left_out = [Finding('left_out', Level.WARN, {
             'part': f"Recording '{bag}'", 'reason': reason}) for bag, reason in self.failed]
-        of_static = self.static.warnings if self.static else ()
         remarks = [remark for part in self.parts for remark in part.remarks]
         return (*map(text_of, left_out), *self.assumed, *self._fit_warnings(),
-                *warnings(self.findings), *of_static, *map(text_of, remarks))
+                *warnings(self.findings), *map(text_of, remarks))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of the JSON file."""
-        recordings: list[ReducedRecording | Recording] = [*self.parts]
-        if self.static:
-            recordings += self.static.recordings
         return results.plain_items({
             **fit_json(self.fit),
             'time_offsets': [offset.value for offset in self.estimates.delays],
@@ -237,11 +221,10 @@ class Identification(CommandResult):
             'refusals': self.refusals,
             'verdict': verdict_json(self.verdict),
             'recordings': [part.report for part in self.parts],
-            'static': self.static,
             'envelope': self.envelope,
             'settings': dict(self.values),
             'provenance': {
-                'recordings': [{'path': each.name, 'files': each.files} for each in recordings],
+                'recordings': [{'path': each.name, 'files': each.files} for each in self.parts],
                 'versions': results.versions()},
             'failed': [{'bag': bag, 'error': reason} for bag, reason in self.failed],
             'version': __version__})
@@ -333,6 +316,4 @@ def fit_json(fit: Fit) -> dict[str, Any]:
         'with_exactly_given': results.attributes(exact, 'stiffness_std', 'damping_std'),
         'parameters': {
             'labels': fit.labels, 'covariance': fit.covariance,
-            'covariance_from_given': fit.from_given},
-        'with_standstills': fit.standstills and {
-            'standstills': fit.standstills[0], 'chi2': fit.standstills[1]}}
+            'covariance_from_given': fit.from_given}}

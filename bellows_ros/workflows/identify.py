@@ -33,13 +33,11 @@ from bellows_ros.core.identification.verdict import MAX_TESTED, verdict_of
 from bellows_ros.core.model import structure
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
-from bellows_ros.core.recording.standstills import with_standstills
 from bellows_ros.core.signals.trajectory import PoseStream
 from bellows_ros.errors import BellowsError, install, require_pictures
 from bellows_ros.workflows import identification
 from bellows_ros.workflows import recordings as reading
-from bellows_ros.workflows.recordings import Failed, FULL_RANGE
-from bellows_ros.workflows.static import read_standstills, StaticResult
+from bellows_ros.workflows.recordings import Failed
 
 Poses = Mapping[str, PoseStream]
 """Poses of tool and package."""
@@ -92,23 +90,19 @@ def identify(
     """
     values = resolved(settings)
     conversion.fitted_structure(values)
-    static = read_standstills(
-        values.replaced({**FULL_RANGE}), progress) if values.static.bags else None
-    effective = values
-    if static:
-        effective = values.replaced({'cup.length': static.cup_length})
     bags = [os.fspath(bag) for bag in values.bags]
-    each, keep = reading.values_of_each(effective), frozenset(bags[:MAX_TESTED])
+    each, keep = reading.values_of_each(values), frozenset(bags[:MAX_TESTED])
     failed: Sequence[Failed] = ()
     with _runner(jobs, dask, len(bags)) as run:
         if run:
             measured, parts, failed = _read_elsewhere(bags, each, keep, progress, run)
         else:
             measured, parts = _read_here(bags, each, keep, progress, poses or {})
+        if not all(map(reading.is_at_rest, parts)):
+            parts = [*map(reading.without_rest, parts)]
         if not force:
-            _require_no_faults(parts, effective, FORCE)
-        return _identify(
-            values, effective, parts, static, progress, measured, _assumed(settings), failed)
+            _require_no_faults(parts, values, FORCE)
+        return _identify(values, parts, progress, measured, _assumed(settings), failed)
 
 
 def _runner(jobs: int | None, dask: str, count: int) -> AbstractContextManager['Cluster | None']:
@@ -153,18 +147,13 @@ def _mistakes(values: Values) -> Iterator[tuple[Any, str]]:
     yield ({*free} - {'length', 'package_marker', 'clock_rate', 'scale'} and values.package.files,
            f'{names}with package.files each recording has another package. Fit the recordings of '
            'one package alone.')
-    yield ('length' in free and values.static.length,
-           f'{names}static.length estimates the length from standstills. Use one of the two.')
     yield (not values.bags, 'No recording is given: the parameter bags is empty. Name at least '
            'one rosbag2 folder, or a .mcap or .db3 file.')
-    yield (values.static.length and not values.static.bags,
-           'static.length is set, but static.bags is empty: the length comes from standstills '
-           'with two or more masses. Name their recordings in static.bags.')
 
 
 def _assumed(settings: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a warning if the cup's length is neither given nor estimated."""
-    if 'cup.length' in settings or settings.get('static.length'):
+    if 'cup.length' in settings or 'length' in settings.get('fit.free', ()):
         return ()
     return (
         f"cup.length is not set: using the thesis's {structure.THESIS_LENGTH:g} m, on which K "
@@ -246,6 +235,7 @@ def _read_elsewhere(
 ) -> tuple[Held, list[AnyRecording], list[Failed]]:
     """Return recordings read by workers, and unusable recordings."""
     words = f'reading {len(bags)} recordings'
+    progress(words, 0.0)
     read = run.keep(partial(_attempted, keep), range(len(bags)), bags,
                     list(map(os.path.abspath, bags)), values)
     outcomes = run.run(itemgetter(1), read.values)
@@ -268,39 +258,29 @@ def _read_elsewhere(
 
 
 def _identify(
-    values: Values, effective: Values, parts: Sequence[AnyRecording],
-    static: StaticResult | None, progress: Progress, measured: Held,
+    values: Values, parts: Sequence[AnyRecording], progress: Progress, measured: Held,
     assumed: tuple[str, ...], failed: Sequence[Failed],
 ) -> identification.Identification:
-    """
-    Fit the recordings; return the result.
-
-    `effective` are the parameters `values` with the length estimated from standstills.
-    """
+    """Fit the recordings; return the result."""
     progress('fitting', FIT_BEGINS)
     try:
         fit = fitting.fit(
-            parts, effective,
+            parts, values,
             lambda what, part: progress(what, FIT_BEGINS + (FIT_ENDS - FIT_BEGINS) * part),
-            static.standstills if static else (), measured)
+            measured)
     except BellowsError:
-        _require_no_faults(parts, effective)
+        _require_no_faults(parts, values)
         raise
     if values.fit.structure == structure.AUTO:
-        values, effective = (each.replaced({'fit.structure': fit.structure})
-                             for each in (values, effective))
+        values = values.replaced({'fit.structure': fit.structure})
     recordings = whole_recordings(parts)
     progress(CAUSE_TESTS, FIT_ENDS)
-    verdict = verdict_of(fit, recordings, effective.cup.length, effective)
-    reduced_parts = tuple(reduced(part, effective.cup.length) for part in parts)
-    length = reduced_parts[0].cup_length
+    verdict = verdict_of(fit, recordings, values.cup.length, values)
+    reduced_parts = tuple(reduced(part, values.cup.length) for part in parts)
     envelope = envelope_of(verdict.simulations, reduced_parts, values.vacuum.holding)
-    if static:
-        envelope = with_standstills(envelope, static.standstills, length)
-        static = static._replace(cup_length=length)
     identified = identification.Identification(
         fit, values, reduced_parts, estimates_of(fit, reduced_parts, recordings, values),
-        envelope, tuple(recordings), static, verdict, tuple(failed), assumed)
+        envelope, tuple(recordings), verdict, tuple(failed), assumed)
     progress('done', 1.0)
     return identified
 

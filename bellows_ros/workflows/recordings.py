@@ -14,12 +14,13 @@ from bellows_ros.core.identification.registration import (
     RegistrationSettings,
     Streams,
 )
+from bellows_ros.core.identification.segments import AnyRecording
 from bellows_ros.core.parameters import checks, conversion
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment as frames
 from bellows_ros.core.recording import recording as prepared
 from bellows_ros.core.recording.faults import pose_remarks, recording_remarks
-from bellows_ros.core.recording.pose_faults import NO_INERTIA, RecordedPoses
+from bellows_ros.core.recording.pose_faults import RecordedPoses
 from bellows_ros.core.recording.prepared_faults import detected_tags
 from bellows_ros.core.recording.recording import PrepareSettings, Recording, TimeOffset
 from bellows_ros.core.signals import trajectory
@@ -31,6 +32,9 @@ import numpy as np
 
 FULL_RANGE = {'recording.start': 0.0, 'recording.end': 0.0}
 """Settings for reading whole recordings: plans and standstills."""
+
+AT_REST = 'tool_at_rest'
+"""Code of the fault of a tool at rest, which a fit with the motion of another recording allows."""
 
 MIN_POSES = 20
 """Smallest number of poses of each body for a search for their faults."""
@@ -189,6 +193,19 @@ def _with_remarks(recording: Recording, remarks: Iterable[Finding]) -> Recording
     return replace(recording, report=replace(recording.report, remarks=tuple(remarks)))
 
 
+def is_at_rest(part: AnyRecording) -> bool:
+    """Return whether the tool of a recording rests throughout."""
+    return any(remark.code == AT_REST for remark in part.remarks)
+
+
+def without_rest(part: AnyRecording) -> AnyRecording:
+    """Return a recording without the fault of a tool at rest, for a fit with a motion."""
+    kept = tuple(remark for remark in part.remarks if remark.code != AT_REST)
+    if isinstance(part, Recording):
+        return _with_remarks(part, kept)
+    return part._replace(remarks=kept)
+
+
 def require_none(remarks: Iterable[Finding], use: str, more: str = '') -> None:
     """Raise for all faults, if some prevent a use of a recording, 'fit' or 'replay'."""
     wrong = [remark for remark in remarks if remark.level == Level.ERROR]
@@ -228,7 +245,7 @@ def _prepared(
         settings.tool_twist_frame)) if (
             min(len(tool), len(package)) >= MIN_POSES) else ()
     found = tuple(remark for remark in found if remark.code != accepted)
-    require_none([remark for remark in found if remark.code != 'tool_at_rest'],  # keeps its stamps
+    require_none([remark for remark in found if remark.code != AT_REST],  # keeps its stamps
                  'fit' if registers else 'replay')
     if registers:
         recording = registered_recording(
@@ -328,9 +345,9 @@ def duplicates(recordings: Iterable[tuple[str, str]]) -> Iterator[tuple[int, str
         names.setdefault(digest, name)
 
 
-def values_of_each(values: Values, at_rest: bool = False) -> list[Values]:
+def values_of_each(values: Values) -> list[Values]:
     """
-    Return the parameters for each recording in bags, or in static.bags, with its package.
+    Return the parameters for each recording in bags, with its package.
 
     Raises
     ------
@@ -338,15 +355,11 @@ def values_of_each(values: Values, at_rest: bool = False) -> list[Values]:
         If the numbers of files and recordings differ, or a parameter is missing for a recording.
 
     """
-    files, count = values.package.files, len(values.bags) + len(values.static.bags)
-    if files and len(files) != count:
+    bags, files = values.bags, values.package.files
+    if files and len(files) != len(bags):
         raise BellowsError(
-            f'package.files has {len(files)} files for {count} recordings. Name one for each '
-            'recording in bags, then for each in static.bags, or none.')
-    bags, files = values.bags, files[:len(values.bags)]
-    if at_rest:
-        bags, files = values.static.bags, values.package.files[len(values.bags):]
-        values = Values({'package.inertia': NO_INERTIA, **values})
+            f'package.files has {len(files)} files for {len(bags)} recordings. Name one for each '
+            'recording in bags, or none.')
     each = [values for _ in bags]
     if files:
         each = [values.replaced(_of_recording(file)) for file in files]

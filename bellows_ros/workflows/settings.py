@@ -8,7 +8,7 @@ from bellows_ros.errors import BellowsError
 from bellows_ros.files import File, safe_yaml
 from bellows_ros.files.parameter_files import read_parameters
 
-INPUTS = ('bags', 'static.bags', 'package.files')
+INPUTS = ('bags', 'package.files')
 """Parameters that name input files."""
 
 

@@ -61,8 +61,7 @@ def cell(workshop, tmp_path_factory):
     """Give a folder with a recording, what is known of it, results, and much that is wrong."""
     folder = tmp_path_factory.mktemp('cell')
     shutil.copytree(workshop, folder, dirs_exist_ok=True)
-    write_yaml(folder / 'bags.yaml', {
-        **KNOWN, 'bags': ['recording'], 'static.bags': ['recording']})
+    write_yaml(folder / 'bags.yaml', {**KNOWN, 'bags': ['recording']})
     (folder / 'poses.tum').write_text('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n')
     (folder / 'link').symlink_to('recording')
     (folder / 'loop').symlink_to('loop')
@@ -85,7 +84,7 @@ READ = [
     'info link --json recording/recording.mcap',
     'IDENTIFY --out recording/recording.mcap',
     'IDENTIFY --set output.json=recording/recording.mcap',
-    'identify --params bags.yaml --set bags=x --json recording/metadata.yaml',
+    'identify --params bags.yaml --json recording/metadata.yaml',
     'replay recording CUP --report cup.yaml',
     'convert poses.tum --topic /p --out poses.tum',
 ]

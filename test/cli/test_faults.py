@@ -141,7 +141,6 @@ SPECIAL = {
 READING = {
     'info FILE.mcap': '', 'info FILE.txt': '', f'identify FILE.db3 {CUP}': '',
     f'replay FILE.mcap {CUP}': '', f'identify FILE.mcap {TOSSING} --release': '',
-    f'identify recording --to 2 {CUP} --set static.bags=FILE.mcap': '',
     'info recording --params FILE.yaml': 'cup',
     'parameters --params FILE.yaml --mjcf new': 'cup',
     f'simulate {CUP} --motion FILE.yaml --out new': '',

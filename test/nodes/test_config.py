@@ -44,7 +44,7 @@ def test_our_reader_takes_it(name, root):
         of_the_cup = ('cup.stiffness', 'cup.damping', 'cup.length', 'cup.relaxation',
                       'cup.stretch', 'cup.valid_', 'cup.layout', 'cup.open')
         # ROS has no empty list to show.
-        of_many = ('package.files', 'static.bags', 'fit.free')
+        of_many = ('package.files', 'fit.free')
         shown = set(values) | {n for n in ours if n.startswith((*of_the_cup, *of_many))}
         assert ours - shown == set(), 'not in the file'
     chosen = {'bags', 'cup.length', 'output.parameters', 'output.json'}  # of the recording, names

@@ -42,7 +42,7 @@ def test_recordings_must_be_named(ros):
 def test_parameters_are_fixed(ros, tmp_path):
     """Refuse to change one while the node runs, also an empty list, which ROS has not set."""
     node = make(ros, bags=[str(tmp_path)])
-    for name, value in (('static.length', True), ('static.bags', ['another'])):
+    for name, value in (('fit.structure', 'full'), ('package.files', ['another'])):
         result, = node.set_parameters([Parameter(name, value=value)])
         assert not result.successful and name in result.reason
     with pytest.raises(BellowsError):

@@ -4,7 +4,7 @@ from dataclasses import replace
 import json
 
 from bellows_ros.core.parameters.checks import resolve
-from bellows_ros.errors import BellowsError
+from bellows_ros.errors import BellowsError, UnexplainedError
 from bellows_ros.files.bags import Encoded, read_streams, write_bag
 from bellows_ros.files.messages import BOOL, HEAD
 from bellows_ros.files.parameter_files import read_parameters, write_parameters
@@ -97,35 +97,32 @@ def test_each_recording_may_have_its_own_topics(root, true_cup, tmp_path):
         identify({**own, **settings})
 
 
-def test_standstills_join_the_fit_and_tell_the_length(shipped, weights, tmp_path):
+def test_recordings_at_rest_beside_a_motion_give_the_length(shipped, weights, tmp_path):
     """Start from a wrong length: it is found, and the stiffness with it."""
     result, truth = shipped
     own = result.values.package.mass
-    files = [tmp_path / f'{mass}.yaml' for mass in (
-        *[own] * len(result.values.bags), *weights.values())]
+    files = [tmp_path / f'{mass}.yaml' for mass in (own, *weights.values())]
     for file in files:
-        file.write_text(f'package.mass: {file.stem}')
-    joined = identify({
-        **result.values, 'fit.method': 'output_error', 'cup.length': 0.0475,
-        'static.bags': list(weights), 'static.length': True,
-        'package.files': list(map(str, files))})
+        file.write_text(f"package.mass: {file.stem}\ntopics.tool_twist: ''")
+    given = {**result.values, 'topics.tool_twist': '', 'fit.method': 'output_error',
+             'cup.length': 0.0475, 'fit.free': ['length']}
+    joined = identify({**given, 'bags': [*result.values.bags, *weights],
+                       'package.files': list(map(str, files))})
+    assert joined.succeeded and not any('rests throughout' in each for each in joined.warnings)
     length, std, _ = joined.found['cup.length']
     assert abs(length - truth['cup.length']) < 4.0 * std and std < 2e-4
-    count, chi2 = joined.fit.standstills
-    assert count == 9 and chi2 < 2.0
     K = np.diag(np.reshape(truth['cup.stiffness'], (6, 6)))
     assert_allclose(np.diag(joined.fit.stiffness), K, rtol=0.01)
     save(joined, tmp_path / 'cup.yaml', tmp_path / 'fit.json', cell_path=tmp_path / 'cell.yaml')
     values = read_parameters(tmp_path / 'cup.yaml')
     assert values['cup.length'] == length and values['cup.length_std'] == pytest.approx(std)
-    assert not any(name.startswith('static.') for name in values)
     content = json.loads((tmp_path / 'fit.json').read_text())
-    assert content['with_standstills']['standstills'] == 9
-    assert [entry['package']['mass'] for entry in content['static']['recordings']] == [
-        *weights.values()]
-    assert content['settings']['static.bags'] == list(weights)
+    assert [entry['package']['mass'] for entry in content['recordings']] == [
+        own, *weights.values()]
     assert content['settings']['cup.length'] == 0.0475, 'what was given, not what was found'
     assert len(content['provenance']['recordings']) == 1 + len(weights)
+    with pytest.raises(UnexplainedError, match='rests throughout.*Record a motion'):
+        identify({**given, 'bags': list(weights)})
 
 
 def test_what_is_not_identifiable_is_infinite_everywhere(shipped, true_cup, tmp_path):
@@ -169,8 +166,6 @@ def settings(root, known):
 @pytest.mark.parametrize(('change', 'named'), [
     ({'fit.free': ['com'], 'fit.method': 'least_squares'}, 'com.* fit.method: output_error'),
     ({'fit.free': ['mass'], 'package.files': ['a', 'b']}, 'mass.* package.files'),
-    ({'fit.free': ['length'], 'static.length': True, 'static.bags': ['a']},
-     'length.* static.length'),
     ({'fit.free': ['weight']}, "time_offset, clock_rate, com,.* 'weight'"),
 ])
 def test_what_cannot_be_free_is_refused(settings, change, named):

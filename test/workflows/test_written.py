@@ -83,7 +83,7 @@ def test_json_has_si_units_and_none_beside_its_numbers(known, root):
     bags = root / 'bags'
     content = json.loads(format_json(identify({
         **known, 'bags': [str(bags / 'identification')], 'recording.end': 8.0,
-        'static.bags': [str(bags / 'static')], 'fit.method': 'least_squares'}).as_json()))
+        'fit.method': 'least_squares'}).as_json()))
     assert not {'unit', 'units', 'validations'} & {*keys(content)}
     assert content['cup_length'] == content['settings']['cup.length'] == 0.046
     assert content['recordings'][0]['package']['mass'] == content['settings']['package.mass']

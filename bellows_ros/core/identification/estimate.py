@@ -50,8 +50,8 @@ MISFIT_CHI2 = 1.5
 """Smallest chi^2 per difference of a certain misfit."""
 
 GROSS_CHI2 = 4.0
-"""Smallest chi^2 per difference of a misfit for which no likeliest path is searched, and of a
-disagreement of standstills: deviations are twice the noise."""
+"""Smallest chi^2 per difference of a misfit for which no likeliest path is searched:
+deviations are twice the noise."""
 
 TOLERANCES = 3.0, 1e-2
 """Squared length of a step at the end of each stage, squared standard errors: K and P then move by
@@ -200,7 +200,7 @@ class Solution:
 
     def only(self, number: int) -> 'Solution':
         """Return the solution of one recording alone, with its information still of all."""
-        problem = replace(self.problem, standstills=(), held=self.problem.held.only(
+        problem = replace(self.problem, held=self.problem.held.only(
             number), outlines=self.problem.outlines[number:number + 1])
         return replace(
             self, problem=problem, theta=self.theta[self.problem.index(number)],
@@ -506,11 +506,7 @@ def evaluated(problem: Problem, theta: Array, courses: Held) -> Solution:
     parts, found = pool.hold(
         partial(_whitened, problem.local), [theta[index] for index in indices], problem.held,
         courses)
-    rows = [(number, information, slope) for number, (_, information, slope) in enumerate(found)]
-    if problem.standstills:
-        J, r, _ = residuals.at_rest(problem.local, theta[indices[0]])
-        rows.append((0, J.T @ J, J.T @ r))
-    for number, information, slope in rows:
+    for number, (_, information, slope) in enumerate(found):
         H.add(number, information)
         g[indices[number]] += slope
     return Solution(problem, theta, courses, parts, [sums for sums, *_ in found], H, g)

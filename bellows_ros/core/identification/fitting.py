@@ -38,7 +38,6 @@ from bellows_ros.core.identification.least_squares import (
     Statistics,
     statistics,
 )
-from bellows_ros.core.identification.residuals import at_rest
 from bellows_ros.core.identification.result import (
     CHANCE,
     FALSE_ALARMS,
@@ -75,7 +74,6 @@ from bellows_ros.core.model.structure import AUTO, has_coupling, require_stretch
 from bellows_ros.core.parameters.conversion import given_structure, one_cup_of, richest_structure
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.errors import BellowsError, UndeterminedError
 import numpy as np
 from scipy.special import chdtri
@@ -129,7 +127,6 @@ def output_error(
     given: Free = NOTHING,
     richer: Structure | None = None,
     common: tuple[str, ...] = (),
-    standstills: Sequence[Standstill] = (),
 ) -> Fit:
     """
     Fit K and P so that the model, driven by the measured tool, reproduces the package's poses.
@@ -157,8 +154,6 @@ def output_error(
         Structure that replaces the first one if its couplings are significant.
     common : tuple of str, optional
         Names of quantities that all recordings share instead of having their own.
-    standstills : sequence of Standstill
-        Standstills of the cup, whose balance is part of the fit.
 
     Raises
     ------
@@ -166,8 +161,7 @@ def output_error(
         If a term of the law is 'on' and is not significant.
 
     """
-    problem = Problem.of(measured, structure, start, free, common=common,
-                         standstills=tuple(standstills))
+    problem = Problem.of(measured, structure, start, free, common=common)
     given = {name: std for name, std in given.items() if problem.is_slow or name != 'exposure'}
     problem = replace(problem, free={**given, **free})
     found = minimise(problem, progress)
@@ -379,8 +373,6 @@ def _fit(found: Solution, named: Sequence[str], given: Free) -> Fit:
         robust_chi2=found.robust_chi2 * max(found.learned, 1.0),
         converged=found.converged,
         causes=causes_of(found, given),
-        standstills=(len(problem.standstills), at_rest(
-            problem.local, found.theta[problem.index(0)])[2]) if problem.standstills else None,
         noise_in_motion=found.noise_in_motion,
         named=tuple(named),
         law={name: tuple(problem.extended(name, found.theta).tolist()) for name in LAW},
@@ -498,7 +490,6 @@ def fit(
     recordings: Sequence[AnyRecording],
     values: Values,
     progress: Progress | None = None,
-    standstills: Sequence[Standstill] = (),
     measured: Held | None = None,
 ) -> Fit:
     """
@@ -515,8 +506,6 @@ def fit(
         Parameters by name: fit.*, cup.*, gravity.
     progress : callable, optional
         Callback with the current step and its completed fraction (0 to 1).
-    standstills : sequence of Standstill
-        Standstills of the cup, whose balance is part of a fit by output error.
     measured : Held, optional
         Results of `measured_of`; required for reduced recordings.
 
@@ -526,18 +515,15 @@ def fit(
         If the recordings do not determine the cup.
 
     """
-    result = fitted(recordings, values, progress, measured, standstills=standstills)
+    result = fitted(recordings, values, progress, measured)
     unknown = [name for name in result.named if not KINDS[name].each and not np.all(
         np.isfinite(result.nuisances_std[name]))]
     if result.converged and unknown:  # they keep their given values
         known = values.replaced({'fit.free': tuple(set(values.fit.free) - {*unknown})})
-        result = fit(recordings, known, progress, standstills, measured)
+        result = fit(recordings, known, progress, measured)
         return replace(result, notes=(*result.notes, Finding('not_freed', Level.WARN, {
             'names': ', '.join(unknown)})))
     _require_motion(result)
-    if result.standstills and result.standstills[1] > GROSS_CHI2:
-        result = replace(result, notes=(
-            *result.notes, Finding('disagreement', Level.WARN, {'chi2': result.standstills[1]})))
     return result
 
 
@@ -554,7 +540,7 @@ def _require_motion(result: Fit) -> None:
         raise BellowsError(
             'The recordings contain too little motion: damping is not identifiable from them, '
             f'nor {UNLOADED_PARAMETER}, which no weight loads. Move the tool in all directions at '
-            '1-3 Hz, and along the cup at 4-6 Hz; standstills are for static.bags.')
+            '1-3 Hz, and along the cup at 4-6 Hz.')
 
 
 def _report(progress: Progress, steps: Iterator[int], cup: Cup, chi2: float) -> None:
@@ -567,7 +553,7 @@ def _report(progress: Progress, steps: Iterator[int], cup: Cup, chi2: float) -> 
 
 def fitted(
     recordings: Sequence[AnyRecording], values: Values, progress: Progress | None = None,
-    measured: Held | None = None, exactly: bool = False, standstills: Sequence[Standstill] = (),
+    measured: Held | None = None, exactly: bool = False,
 ) -> Fit:
     """
     Return the fit to recordings.
@@ -592,4 +578,4 @@ def fitted(
         partial(_report, progress, count(1)) if progress else no_report, weak_prior(named), named,
         law, {} if exactly else given_std(values),
         richest_structure(values) if values.fit.structure == AUTO else None,
-        MARKERS if values.recording.marker == 'shared' else (), standstills)
+        MARKERS if values.recording.marker == 'shared' else ())

@@ -15,7 +15,6 @@ which it is noise (instrumental variables): derivatives with the noise that also
 would have a mean product with them, and bias the damping.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from bellows_ros.core.geometry import lie
@@ -44,19 +43,15 @@ from bellows_ros.core.identification.smoother import (
 from bellows_ros.core.identification.unknowns import (
     delayed,
     DIFFERENCE,
-    gravity_of,
-    payload_of,
     Problem,
     QUANTITY_DIFFERENCE,
 )
 from bellows_ros.core.model import equilibrium, simulation
-from bellows_ros.core.model.cup_package import model_tuple
 from bellows_ros.core.model.kernels import ModelTuple, State
-from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.sensors import body
 from bellows_ros.core.sensors.corners import Seen
 from bellows_ros.core.signals.resampling import resample
-from bellows_ros.core.signals.trajectory import NS_PER_S, pose_rows, Trajectory
+from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -460,38 +455,3 @@ def _blocks(J: Array, r: Array, period: float) -> tuple[Array, Array]:
     blocks = [(J[first:first + length].reshape(-1, J.shape[-1]), r[first:first + length].ravel())
               for first in range(0, len(J), length)]
     return np.array([J.T @ J for J, _ in blocks]), np.array([J.T @ r for J, r in blocks])
-
-
-def at_rest(problem: Problem, theta: Array) -> tuple[Array, Array, float]:
-    """
-    Return derivatives (n, q) and residuals (n,) of the standstills, in standard errors.
-
-    A chi^2 above its expectation reduces the weight of the standstills; it is the third result.
-    Unknowns are of the first recording.
-    """
-    middle = np.append(np.mean([
-        still.package.position[0] for still in problem.standstills], axis=0), 0.0)
-
-    def balances(theta: Array) -> Array:
-        return np.concatenate([_off_balance(problem, theta, still, middle) / np.maximum(
-            np.repeat(still.error, 3), MIN_POSE_STD) for still in problem.standstills])
-
-    here = balances(theta)
-    J = np.column_stack([(here - balances(theta + step)) / DIFFERENCE
-                         for step in DIFFERENCE * np.eye(len(theta))])
-    chi2 = float(np.mean(here**2))
-    weight = max(chi2, 1.0) ** -0.5
-    return weight * J, weight * here, chi2
-
-
-def _off_balance(problem: Problem, theta: Array, still: Standstill, middle: Array) -> Array:
-    """Return the deviation (6,) of a standstill from the equilibrium of the model, m and rad."""
-    free = problem.values(theta)
-    cup = replace(problem.gripper(theta, free), relaxation=(0.0, 0.0))
-    model = model_tuple(cup, payload_of(still.payload, free),
-                        gravity_of(still.gravity, free))
-    tool, measured = (simulation.row_state(np.append(pose_rows(poses)[0], np.zeros(6)))
-                      for poses in (still.tool, body.poses_of(
-                          still.package, free, np.array(still.moves_with_com, float), middle)))
-    rest = equilibrium.static_equilibrium(model, tool, measured)
-    return np.concatenate(equilibrium.pose_error(rest, *measured[:2]))

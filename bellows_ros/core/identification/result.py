@@ -145,9 +145,6 @@ class Fit:
         larger; None for least squares.
     named : tuple of str
         Names of the nuisances that the user requested.
-    standstills : (int, float) or None
-        Number of standstills in the fit, and chi^2 of their deviations per number, 1 if the errors
-        of the mean poses explain them, above 1 with less weight; None without any.
     law, law_std : mapping
         Numbers of the terms of `LAW`, and their standard errors, by name; zeros without a term.
     noise_in_motion : mapping
@@ -182,7 +179,6 @@ class Fit:
     chi2: float | None = None
     robust_chi2: float | None = None
     named: tuple[str, ...] = ()
-    standstills: tuple[int, float] | None = None
     law: Mapping[str, tuple[float, ...]] = field(default_factory=NO_LAW.copy)
     law_std: Mapping[str, tuple[float, ...]] = field(default_factory=NO_LAW.copy)
     noise_in_motion: Mapping[int, Array] = field(default_factory=dict)

@@ -50,7 +50,6 @@ from bellows_ros.core.parameters.checks import PACKAGE_PARAMETERS
 from bellows_ros.core.parameters.conversion import package_of, stated_std
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording.recording import Recording
-from bellows_ros.core.recording.standstills import Standstill
 from bellows_ros.core.sensors import body
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 import numpy as np
@@ -258,8 +257,6 @@ class Problem:
         Names of quantities that all recordings share instead of having their own.
     is_rough : bool
         Whether tags count as poses, and exposures as given, for a remote start.
-    standstills : tuple of Standstill
-        Standstills of the same cup, with the marker and the world of the first recording.
 
     """
 
@@ -271,7 +268,6 @@ class Problem:
     slip_ns: int = 0
     common: tuple[str, ...] = ()
     is_rough: bool = False
-    standstills: tuple[Standstill, ...] = ()
 
     @classmethod
     def of(

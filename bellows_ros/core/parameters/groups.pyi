@@ -97,10 +97,6 @@ class CupGroup:
     suction_area: float
     friction: float
 
-class StaticGroup:
-    bags: tuple[str, ...]
-    length: bool
-
 class PackageGroup:
     mass: float
     inertia: tuple[float, ...]
@@ -135,7 +131,6 @@ class Groups:
     topics: TopicsGroup
     recording: RecordingGroup
     package: PackageGroup
-    static: StaticGroup
     cup: CupGroup
     fit: FitGroup
     gravity: GravityGroup

@@ -155,7 +155,7 @@ def parameters_for(user: str) -> tuple[Parameter, ...]:
 
 SUCCESSORS: Mapping[str, str] = tomllib.loads(
     Path(__file__).with_name('successors.toml').read_text())
-"""What replaces the parameters of version 1, by name; a group ends with *."""
+"""What replaces the parameters of earlier versions, by name; a group ends with *."""
 
 
 def lookup(name: str) -> Parameter:
@@ -172,7 +172,7 @@ def lookup(name: str) -> Parameter:
         return PARAMETERS[name]
     for old in (name, f'{name.partition(".")[0]}.*'):
         if old in SUCCESSORS:
-            raise BellowsError(f"Parameter '{name}' is of version 1: {SUCCESSORS[old]}")
+            raise BellowsError(f"Parameter '{name}' is of an earlier version: {SUCCESSORS[old]}")
     raise BellowsError(f"Unknown parameter '{shown(name)}'. {_nearest(name[:80])}")
 
 

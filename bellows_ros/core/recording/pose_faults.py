@@ -123,9 +123,6 @@ TWIST_TOLERANCE = 0.3
 MIN_TWISTS = 10
 """Smallest number of twists that are compared."""
 
-NO_INERTIA = (0.0101, 0.0101, 0.0101, 0.0, 0.0, 0.0)
-"""Placeholder for the irrelevant inertia of a package at rest, kg m^2."""
-
 MAX_MOTION = 20.0
 """Largest motion of a body, m: a larger one is in millimetres."""
 
@@ -442,10 +439,8 @@ def impossible_packages(poses: RecordedPoses) -> Iterator[Finding]:
     if poses.payload is None:
         return
     moments = np.diag(poses.payload.inertia).tolist()
-    if tuple(moments) != NO_INERTIA[:3]:
-        for doubt in structure.unit_doubts(
-                poses.payload.mass, moments, poses.payload.com.tolist()):
-            yield Finding('implausible', Level.ERROR, {'sentence': doubt})
+    for doubt in structure.unit_doubts(poses.payload.mass, moments, poses.payload.com.tolist()):
+        yield Finding('implausible', Level.ERROR, {'sentence': doubt})
 
 
 def wrong_twists(poses: RecordedPoses) -> Iterator[Finding]:

@@ -506,6 +506,11 @@ class Recording:
         result: T = self._cache[key]
         return result
 
+    @property
+    def remarks(self) -> tuple[Finding, ...]:
+        """Findings of the preparation and of the checks."""
+        return self.report.remarks
+
     @cached_property
     def tool(self) -> Trajectory:
         """Tool tip E in the world, filtered, with body twists of the filter."""
