@@ -109,7 +109,8 @@ class Identification(CommandResult):
             'cup.length': self.cup_length,
             **{name: checks.validate(name, value) for name, (value, *_) in self.found.items()},
             **{TERMS[name].parameter: TERMS[name].to_parameter(term)
-               for name, term in terms_of(self.fit, self.values).items()}})
+               for name, term in terms_of(
+                   self.fit, conversion.one_cup_of(self.values)).items()}})
 
     def parameters(self, with_cell: bool = False) -> dict[str, Any]:
         """

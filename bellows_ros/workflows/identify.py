@@ -20,7 +20,11 @@ from typing import Any
 
 from bellows_ros.core import configure_process, no_progress, Progress, usable_cores
 from bellows_ros.core.identification import fitting
-from bellows_ros.core.identification.estimates import envelope_of, estimates_of
+from bellows_ros.core.identification.estimates import (
+    ClockSettings,
+    envelope_of,
+    estimates_of,
+)
 from bellows_ros.core.identification.segments import (
     AnyRecording,
     Held,
@@ -279,7 +283,8 @@ def _identify(
     reduced_parts = tuple(reduced(part, values.cup.length) for part in parts)
     envelope = envelope_of(verdict.simulations, reduced_parts, values.vacuum.holding)
     identified = identification.Identification(
-        fit, values, reduced_parts, estimates_of(fit, reduced_parts, recordings, values),
+        fit, values, reduced_parts, estimates_of(
+            fit, reduced_parts, recordings, ClockSettings.of(values)),
         envelope, tuple(recordings), verdict, tuple(failed), assumed)
     progress('done', 1.0)
     return identified

@@ -1,6 +1,7 @@
 """Estimates of a fit jointly with K and P, as the parameters of cup and cell that they replace."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
 
@@ -11,9 +12,10 @@ from bellows_ros.core.identification.segments import ReducedRecording
 from bellows_ros.core.identification.unknowns import KINDS, payload_of
 from bellows_ros.core.identification.validation import Validation
 from bellows_ros.core.identification.verdict import CHANGED
+from bellows_ros.core.model.cup_package import Cup
 from bellows_ros.core.model.structure import structure_named
 from bellows_ros.core.model.validity_range import Envelope, joined_envelopes
-from bellows_ros.core.parameters import checks, conversion
+from bellows_ros.core.parameters import checks
 from bellows_ros.core.parameters.values import Values
 from bellows_ros.core.recording import alignment
 from bellows_ros.core.recording.recording import Recording, TimeOffset
@@ -59,8 +61,33 @@ class Estimates(NamedTuple):
     asked: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class ClockSettings:
+    """
+    Settings of the clocks in a fit.
+
+    Parameters
+    ----------
+    latency : float
+        Given latency of the package's poses, by which they are corrected, s.
+    is_free : bool
+        Whether fit.free requests the offset between the clocks of tool and package.
+
+    """
+
+    latency: float
+    is_free: bool
+
+    @classmethod
+    def of(cls, values: Values) -> 'ClockSettings':
+        """Return the settings in parameters."""
+        return cls(values.measured.latency[0] if checks.is_measured(values) else 0.0,
+                   'time_offset' in values.fit.free)
+
+
 def estimates_of(
-    fit: Fit, parts: Sequence[ReducedRecording], recordings: Sequence[Recording], values: Values
+    fit: Fit, parts: Sequence[ReducedRecording], recordings: Sequence[Recording],
+    clocks: ClockSettings,
 ) -> Estimates:
     """
     Return the estimates of a fit.
@@ -73,19 +100,18 @@ def estimates_of(
         Recordings of the fit.
     recordings : sequence of Recording
         The first of them, unreduced.
-    values : mapping
-        Given parameters.
+    clocks : ClockSettings
+        Given latency, and whether the clocks' offset is free.
 
     """
-    delays = _delays(fit, parts, values)
+    delays = _delays(fit, parts) if clocks.is_free else ()
     if not fit.converged:
         return Estimates({}, delays, ())
-    payload = recordings[0].payload if recordings else conversion.package_of(values)
-    found = dict(_of_package(fit, payload, parts[0].cup_length))
+    found = dict(_of_package(fit, parts[0].payload, parts[0].cup_length))
     if recordings:
         best = min(range(len(recordings)), key=lambda number: _world_error(parts[number]))
         found |= _of_cell(fit, recordings[best], best)
-        latency = _latency(fit, values, delays, best)
+        latency = _latency(fit, clocks.latency, delays, best)
         if latency:
             found['measured.latency'] = latency
     named = {*fit.named} & CHANGED.keys() - {'time_offset'}  # has findings of its own
@@ -93,12 +119,8 @@ def estimates_of(
     return Estimates(found, delays, tuple(name for name in found if name in asked))
 
 
-def _delays(
-    fit: Fit, parts: Sequence[ReducedRecording], values: Values
-) -> tuple[TimeOffset, ...]:
+def _delays(fit: Fit, parts: Sequence[ReducedRecording]) -> tuple[TimeOffset, ...]:
     """Return `Estimates.delays`: by the registration, and by the fit."""
-    if 'time_offset' not in values.fit.free:
-        return ()
     before = tuple(part.time_offset or TimeOffset(0.0, math.inf) for part in parts)
     if 'time_offset' not in fit.nuisances:
         return before
@@ -199,9 +221,13 @@ def _marker_offset(recording: Recording, shift: Array, marker: Array) -> list[fl
 
 
 def _latency(
-    fit: Fit, values: Values, delays: Sequence[TimeOffset], number: int
+    fit: Fit, before: float, delays: Sequence[TimeOffset], number: int
 ) -> ParameterEstimate | None:
-    """Return the latency of the package's poses by a recording; None if unknown or none."""
+    """
+    Return the latency (s) of the package's poses by a recording; None if unknown or none.
+
+    `before` is the given latency, by which the poses are corrected.
+    """
     if delays:
         delay, std = delays[number]
     else:
@@ -209,13 +235,12 @@ def _latency(
                       for each in (fit.nuisances, fit.nuisances_std))
     if not delay or abs(delay) >= MAX_DELAY or not math.isfinite(std):
         return None
-    before = values.measured.latency[0] if checks.is_measured(values) else 0.0
     return ParameterEstimate([before - delay, min(std, MAX_DELAY)], np.zeros(2), 's')
 
 
-def terms_of(fit: Fit, values: Values) -> dict[str, Any]:
+def terms_of(fit: Fit, given: Cup) -> dict[str, Any]:
     """Return the fitted terms of a cup, with given numbers for unidentifiable ones of K and P."""
-    structure, given = structure_named(fit.structure), conversion.one_cup_of(values)
+    structure = structure_named(fit.structure)
     identifiable = np.isfinite(np.diag(fit.covariance))
     K, P = structure.matrices(np.where(
         identifiable, fit.parameters, structure.parameters(given.stiffness, given.damping)))
