@@ -166,7 +166,7 @@ class Sensor(NamedTuple):
         return np.hstack([self.by_pose[bin_], self.after[bin_] * self.by_pose[bin_]])
 
 
-class Filtered(NamedTuple):
+class Innovations(NamedTuple):
     """
     Whitened numbers (K, 6, c), and what the smoother needs.
 
@@ -288,7 +288,7 @@ def _transition(motion: SmallMotion, noise: Process, sensor: Sensor, k: int) -> 
 
 def filtered(
     motion: SmallMotion, noise: Process, sensor: Sensor, first: Array, numbers: Array
-) -> Filtered:
+) -> Innovations:
     """
     Return the whitened columns of numbers (K, 6, c), without a mean at first.
 
@@ -323,7 +323,7 @@ def filtered(
         expected = np.diag(S)
         score += (np.minimum(e[:, 0] ** 2, CHANCE**2 * expected) - expected) / expected**2
         information += expected**-2
-    return Filtered(white, logs, sensor.variance + score / information, roots, gains, change,
+    return Innovations(white, logs, sensor.variance + score / information, roots, gains, change,
                     covariance)
 
 
@@ -343,7 +343,7 @@ def _bins(sensor: Sensor, count: int) -> Places:
 
 
 def smoothed(
-    motion: SmallMotion, noise: Process, sensor: Sensor, first: Array, found: Filtered,
+    motion: SmallMotion, noise: Process, sensor: Sensor, first: Array, found: Innovations,
     innovations: Array,
 ) -> tuple[Array, Array]:
     """Return the likeliest first d and d' (12,), and change (N, 6) of the path."""
