@@ -323,8 +323,8 @@ def filtered(
         expected = np.diag(S)
         score += (np.minimum(e[:, 0] ** 2, CHANCE**2 * expected) - expected) / expected**2
         information += expected**-2
-    return Innovations(white, logs, sensor.variance + score / information, roots, gains, change,
-                    covariance)
+    likelier = sensor.variance + score / information
+    return Innovations(white, logs, likelier, roots, gains, change, covariance)
 
 
 def _first_covariance(noise: Process, sensor: Sensor, first: Array) -> Array:
