@@ -54,7 +54,7 @@ from bellows_ros.core.signals.resampling import resample
 from bellows_ros.core.signals.trajectory import NS_PER_S, Trajectory
 from bellows_ros.errors import BellowsError, UnstableError
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 START_STD = np.repeat([0.05, 0.3, 0.5, 3.0], 3)
 """Standard deviation of the package's first state about rest on the tool: wider than any swing,
@@ -430,7 +430,7 @@ def _change_at(course: Course, stamps_ns: Stamps) -> Array:
     """Return the change (N, 6) of a course's path at stamps (N,)."""
     begin = course.stamps_ns[0]
     known = (course.stamps_ns - begin) / NS_PER_S
-    return np.asarray(CubicSpline(known, course.change)(
+    return np.asarray(scipy.interpolate.CubicSpline(known, course.change)(
         np.clip((stamps_ns - begin) / NS_PER_S, known[0], known[-1])))
 
 
@@ -438,7 +438,7 @@ def _path(segment: Segment, stamps_ns: Stamps, change: Array) -> Array:
     """Return the rows (M, 13) of a path that is changed (N, 6) at stamps (N,)."""
     known = (stamps_ns - stamps_ns[0]) / NS_PER_S
     seconds = np.minimum((segment.rows_ns - stamps_ns[0]) / NS_PER_S, known[-1])
-    curve = CubicSpline(known, change)
+    curve = scipy.interpolate.CubicSpline(known, change)
     return segment.moved(np.hstack([curve(seconds), curve(seconds, 1)]))
 
 
