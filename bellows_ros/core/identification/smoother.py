@@ -10,7 +10,7 @@ displacements d in its body axes, which are those of a linear, time-varying mode
 with twist v and acceleration a of the simulated package, and derivatives A and B of its
 acceleration by displacements and their rates, of package and tool. The numbers of a sensor are
 M d + s with its derivatives M by the pose of the package, and its noise s. The states of the
-filter are d, d', the last values of w, an autoregressive process, and s, one of first order.
+filter are d, d', and the last values of w and s, two autoregressive processes.
 
 The innovations are the whitened numbers: they have the likelihood of all numbers together. The
 smoother gives the likeliest w and first state (Bryson and Frazier 1963). A bin without poses is a
@@ -29,7 +29,7 @@ from bellows_ros.core.signals.trajectory import NS_PER_S
 import numpy as np
 
 MAX_STEP_NS = 12_500_001
-"""Largest time between steps, ns."""
+"""Largest time between steps, ns: three poses at 240 Hz, with their stamps rounded to 1 ns."""
 
 PATH_ORDER = 4
 """Order of the autoregressive process of a path's noise: with 2 or 3 chi² of exactly modelled
@@ -49,7 +49,7 @@ DIFFERENCE = 1e-5
 """Step of differences of the acceleration, m, rad, m/s and rad/s."""
 
 TERMS = 12
-"""Number of terms of an exponential; the first left out is 1e-10 of matrices below 1 / 2."""
+"""Number of terms of an exponential: the first left out is 1e-13 for a norm of 1 / 2."""
 
 MOTION = slice(0, 12)
 NOW = slice(12, 18)
